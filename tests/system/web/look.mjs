@@ -1,11 +1,11 @@
 // Previews of recordings: opens the page of a file, steps through its pictures, plots a topic, and saves the values.
 // Prints the results as JSON. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's
-// address, the ids of an intact MCAP, a bag and a truncated MCAP.
+// address, the ids of an intact MCAP, a bag, a truncated MCAP and a rosbag2 database.
 import { readFile } from "node:fs/promises";
 import { launchBrowser } from "./chromium.mjs";
 import { isEnvironmentError } from "./console_errors.mjs";
 
-const [web, executablePath, link, address, mcap, bag, cut] = process.argv.slice(2);
+const [web, executablePath, link, address, mcap, bag, cut, db3] = process.argv.slice(2);
 const TIMEOUT_MS = 60_000;
 
 const browser = await launchBrowser(web, executablePath);
@@ -82,6 +82,10 @@ results.imu = await plot(mcap, "topic=/imu/data");
 results.odom = await plot(bag, "topic=/odom&field=pose.pose.position.x&field=pose.pose.position.y");
 results.cut = await firstPicture(cut);
 results.cut.notice = await page.locator("[data-beginning]").innerText();
+results.db3 = await firstPicture(db3);
+results.db3Next = await press("ArrowRight");
+results.db3Odom = await plot(db3, "topic=/odom&field=pose.pose.position.x&field=pose.pose.position.y");
+results.db3CanBeSliced = (await page.getByRole("button", { name: "Download selection" }).count()) > 0;
 results.consoleErrors = consoleErrors;
 await browser.close();
 process.stdout.write(JSON.stringify(results));

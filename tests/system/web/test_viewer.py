@@ -14,12 +14,13 @@ import pytest
 
 from kleinkram.recordings import Recording
 from kleinkram.recordings.decoding import image
-from kleinkram.recordings.sample import FileTruth, generate_bag, generate_mcap
+from kleinkram.recordings.sample import FileTruth, generate_bag, generate_db3, generate_mcap
 from tests.acceptance.conftest import wait_until
 from tests.system.cluster import Cluster
 from tests.system.web.conftest import RunBrowser
 
-_NAMES = ("drive.mcap", "drive.bag", "cut.mcap")
+_DATABASE = "drive_rosbag2/drive_rosbag2_0.db3"
+_NAMES = ("drive.mcap", "drive.bag", "cut.mcap", _DATABASE)
 _MCAP_BYTES, _BAG_BYTES = 60_000_000, 10_000_000
 # JPEG decoders may round differently.
 _ROUNDING = 2
@@ -41,6 +42,7 @@ def test_previews_show_the_recorded_images_and_plots(
     day.mkdir()
     mcap = generate_mcap(day / "drive.mcap", size_bytes=_MCAP_BYTES)
     bag = generate_bag(day / "drive.bag", size_bytes=_BAG_BYTES)
+    database = generate_db3(day / "drive_rosbag2", size_bytes=_BAG_BYTES)
     with (day / "drive.mcap").open("rb") as whole:
         (day / "cut.mcap").write_bytes(whole.read(_BAG_BYTES))
     terminal = shared_cluster.terminal
@@ -52,7 +54,7 @@ def test_previews_show_the_recorded_images_and_plots(
 
     wait_until(lambda: all(file["content"] != "pending" for file in files().values()), "the files to be read")
     known = files()
-    assert [known[name]["content"] for name in _NAMES] == ["indexed", "indexed", "recovered"]
+    assert [known[name]["content"] for name in _NAMES] == ["indexed", "indexed", "recovered", "indexed"]
     results = run_browser("look.mjs", shared_cluster, *(known[name]["id"] for name in _NAMES))
 
     assert results["consoleErrors"] == []
@@ -73,6 +75,11 @@ def test_previews_show_the_recorded_images_and_plots(
     assert results["imu"]["label"].startswith("Plot of /imu/data over time: linear_acceleration.x from -0.")
     _assert_same(results["cut"], pictures[0])
     assert "not closed" in results["cut"]["notice"]
+    in_database = _pictures(database.path)
+    _assert_same(results["db3"], in_database[0])
+    _assert_same(results["db3Next"], in_database[1])
+    _assert_plot(results["db3Odom"]["csv"], database, "/odom", "pose.pose.position", "xy")
+    assert not results["db3CanBeSliced"]
 
 
 @pytest.mark.slow
