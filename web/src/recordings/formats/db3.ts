@@ -21,8 +21,8 @@ import {
   type Span,
 } from "./recording";
 
-/** The parts into which an index of times is divided. */
-const MAX_PIECES = 256;
+/** The parts into which a recording is divided at least, if it is large: few, since each page of an index is a request. */
+const ENOUGH_PIECES = 16;
 const MAX_TOPICS = 100_000;
 const LATEST_NS = (1n << 63n) - 1n;
 
@@ -132,7 +132,7 @@ async function readIndex(file: SqliteFile, rootPage: number): Promise<Times> {
   }
   const [fromNs, toNs] = ends;
   const span = fromNs === undefined || toNs === undefined ? null : { fromNs, toNs };
-  return { span, dividers: await file.dividers(rootPage, MAX_PIECES), indexedUntil: null, within };
+  return { span, dividers: await file.dividers(rootPage, ENOUGH_PIECES), indexedUntil: null, within };
 }
 
 /** Reads the times of all rows, as far as `maxBytes` reach. */
@@ -156,7 +156,7 @@ async function scanTimes(file: SqliteFile, rootPage: number, place: number, sour
   const [first] = sorted;
   const last = sorted.at(-1);
   const span = first === undefined || last === undefined ? null : { fromNs: first.logTimeNs, toNs: last.logTimeNs };
-  const share = Math.ceil(sorted.length / MAX_PIECES);
+  const share = Math.ceil(sorted.length / ENOUGH_PIECES);
   const dividers = sorted.filter((_, number) => number > 0 && number % share === 0).map(({ logTimeNs }) => logTimeNs);
   async function* within({ fromNs, toNs }: Span, order: Order): AsyncIterable<Placed> {
     await Promise.resolve();

@@ -147,11 +147,11 @@ export class SqliteFile {
     }
   }
 
-  /** First values of an index that divide it into parts of about equal size: at most `most` of them. */
-  async dividers(rootPage: number, most: number): Promise<bigint[]> {
+  /** First values of an index that divide it into parts of about equal size: `enough` of them or more, if it has them. */
+  async dividers(rootPage: number, enough: number): Promise<bigint[]> {
     let level = [rootPage];
     let dividers: bigint[] = [];
-    for (let levels = MAX_LEVELS; level.length <= most; levels -= 1) {
+    for (let levels = MAX_LEVELS; dividers.length < enough; levels -= 1) {
       const pages = await Promise.all(level.map((number) => this.page(number, INTERIOR_INDEX, LEAF_INDEX, levels)));
       if (pages.some(({ kind }) => kind === LEAF_INDEX)) break;
       dividers = dividers.concat(pages.flatMap(({ cells }) => cells.map(({ payload }) => key(payload === null ? [] : this.localValues(payload)))));
