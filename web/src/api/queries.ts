@@ -16,7 +16,7 @@ function retryDelayMs(failures: number): number {
   return Math.min(8000, 500 * 2 ** failures);
 }
 
-/** Sends a request that changes nothing, again where the server or the network fails, as queries do. */
+/** Sends a request that may arrive twice, again where the server or the network fails, as queries do. */
 export async function repeated<Result>(send: () => Promise<Result>): Promise<Result> {
   for (let failures = 0; ; failures += 1) {
     try {

@@ -34,7 +34,7 @@ async function read(recording: Recording, topic: string, span = ALL, order: Orde
   return { messages, damage };
 }
 
-function pairs(messages: readonly Message[]): string[] {
+function textsOf(messages: readonly Message[]): string[] {
   return messages.map(({ logTimeNs, data }) => textOf(logTimeNs, data));
 }
 
@@ -46,7 +46,7 @@ describe("a rosbag2 database", () => {
     expect(recording.topics.map(({ name }) => name)).toEqual(["/small", "/large"]);
     for (const [topic, id] of [["/small", 1], ["/large", 2]] as const) {
       for (const order of ["forward", "backward"] as const) {
-        expect(pairs((await read(recording, topic, ALL, order)).messages)).toEqual(expected(id, order));
+        expect(textsOf((await read(recording, topic, ALL, order)).messages)).toEqual(expected(id, order));
       }
     }
   });
@@ -56,12 +56,12 @@ describe("a rosbag2 database", () => {
     const recording = await openRecording("db3", ranges);
     const times = ROWS.filter(({ topicId }) => topicId === 1).map(({ timeNs }) => timeNs).toSorted();
     const { messages } = await read(recording, "/small", { fromNs: times[100] ?? 0n, toNs: times[120] ?? 0n });
-    expect(pairs(messages)).toEqual(expected(1).slice(100, 121));
+    expect(textsOf(messages)).toEqual(expected(1).slice(100, 121));
     const pieces = recording.pieces(["/small"], ALL);
     expect(pieces.length).toBeGreaterThan(4);
     const inPieces = [];
     for (const piece of pieces) inPieces.push(...(await recording.readPiece(piece, ["/small"])));
-    expect(pairs(inPieces)).toEqual(expected(1));
+    expect(textsOf(inPieces)).toEqual(expected(1));
   });
 
   it("decodes common types without a definition, and others by theirs", async () => {
@@ -75,7 +75,7 @@ describe("a rosbag2 database", () => {
     // Jazzy has one field more than Humble.
     const curves = await session.curves({ topic: "/range", fields: ["max_range"], fromNs: 0n, toNs: 9n, maxBytes: 1e6 }, { signal: new AbortController().signal, onCurves: () => undefined });
     expect([curves.messages, curves.damaged]).toEqual([2, []]);
-    await expect(session.fields("/other")).rejects.toMatchObject({ code: "definition_unreadable", detail: "own_msgs/msg/Other" });
+    await expect(session.fields("/other")).rejects.toMatchObject({ code: "definition_missing", detail: "own_msgs/msg/Other" });
   });
 
   it("shows what can be read of a damaged one", async () => {

@@ -11,6 +11,7 @@ export type FailureCode =
   | "topic_unknown"
   | "topic_silent"
   | "encoding_unknown"
+  | "definition_missing"
   | "definition_unreadable"
   | "message_damaged"
   | "not_a_picture"

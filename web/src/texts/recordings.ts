@@ -33,6 +33,10 @@ export const failures: Readonly<Record<FailureCode, FailureText>> = {
   topic_unknown: { title: () => "The index of the recording does not contain this topic", remedy: "Choose another topic." },
   topic_silent: { title: () => "This topic has no messages", remedy: "Choose another topic." },
   encoding_unknown: { title: (detail) => `The preview does not support the encoding of this topic${INSIDE(detail)}`, remedy: DOWNLOAD },
+  definition_missing: {
+    title: (detail) => `The recording does not contain the definition of this message type${INSIDE(detail)}`,
+    remedy: "Record MCAP, or use ROS 2 Iron or later, which store definitions in databases, too.",
+  },
   definition_unreadable: {
     title: (detail) => `The message definition of this topic is not readable${INSIDE(detail)}`,
     remedy: DOWNLOAD,

@@ -12,7 +12,7 @@ const TEXT = new TextDecoder();
 
 /** Return how to decode the messages of a channel.
  *
- * @throws ReadFailure encoding_unknown, definition_unreadable.
+ * @throws ReadFailure encoding_unknown, definition_missing, definition_unreadable.
  */
 export function decoderOf(schema: Schema): Decode {
   const { encoding, messageEncoding, definition } = schema;
@@ -27,11 +27,11 @@ export function decoderOf(schema: Schema): Decode {
 
 /** Decode messages of a well-known type by the first of its definitions that fits, or by the only other one.
  *
- * @throws ReadFailure definition_unreadable, where the type is not well-known.
+ * @throws ReadFailure definition_missing, where the type is not well-known.
  */
 function wellKnownDecoder(name: string): Decode {
   const definitions = wellKnownDefinitions(name);
-  if (definitions.length === 0) throw new ReadFailure("definition_unreadable", name);
+  if (definitions.length === 0) throw new ReadFailure("definition_missing", name);
   const [first, ...others] = definitions.map((definition) => rosDecoder(definition, 2, true, definitions.length > 1)) as [Decode, ...Decode[]];
   return (data) => {
     try {

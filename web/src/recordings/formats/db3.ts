@@ -100,8 +100,7 @@ async function readChannels(file: SqliteFile, table: Tree, definitions: Readonly
 }
 
 async function texts(file: SqliteFile, row: Row, places: readonly number[]): Promise<(string | undefined)[]> {
-  const values = await Promise.all(places.map((place) => file.value(row, place)));
-  return values.map((value) => (typeof value === "string" ? value : undefined));
+  return (await file.values(row, places)).map((value) => (typeof value === "string" ? value : undefined));
 }
 
 /** Returns the times of an index; null where there is none that can be read. */

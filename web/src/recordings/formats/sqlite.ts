@@ -27,7 +27,7 @@ export type SqlValue = bigint | number | string | Uint8Array | null;
 /** A row of a table. Its columns are read on demand: that of a large value may be in many other pages. */
 export interface Row {
   id: number;
-  /** Serial types of the columns. */
+  /** Where each column is in the payload. */
   columns: readonly Column[];
   payload: Payload;
 }
@@ -99,7 +99,7 @@ export class SqliteFile {
   async trees(): Promise<Tree[]> {
     const trees: Tree[] = [];
     for await (const row of this.rows(1)) {
-      const [kind, name, table, rootPage, sql] = await Promise.all([0, 1, 2, 3, 4].map((number) => this.value(row, number)));
+      const [kind, name, table, rootPage, sql] = await this.values(row, [0, 1, 2, 3, 4]);
       if (typeof kind !== "string" || typeof name !== "string" || typeof table !== "string") continue;
       trees.push({ kind, name, table, rootPage: Number(rootPage ?? 0), sql: typeof sql === "string" ? sql : "" });
     }
@@ -152,7 +152,8 @@ export class SqliteFile {
     let level = [rootPage];
     let dividers: bigint[] = [];
     for (let levels = MAX_LEVELS; dividers.length < enough; levels -= 1) {
-      const pages = await Promise.all(level.map((number) => this.page(number, INTERIOR_INDEX, LEAF_INDEX, levels)));
+      const pages: Page[] = [];
+      for (const number of level) pages.push(await this.page(number, INTERIOR_INDEX, LEAF_INDEX, levels));
       if (pages.some(({ kind }) => kind === LEAF_INDEX)) break;
       dividers = dividers.concat(pages.flatMap(({ cells }) => cells.map(({ payload }) => key(payload === null ? [] : this.localValues(payload)))));
       level = pages.flatMap(({ cells, right }) => [...cells.map(({ child }) => child), right]);
@@ -167,6 +168,13 @@ export class SqliteFile {
     const end = column.at + column.length;
     const bytes = end <= one.payload.local.length ? one.payload.local : await this.whole(one.payload);
     return valueOf(column.serial, bytes.subarray(column.at, end));
+  }
+
+  /** The values of several columns, read one after the other: a source has one reader at a time. */
+  async values(one: Row, numbers: readonly number[]): Promise<SqlValue[]> {
+    const values: SqlValue[] = [];
+    for (const number of numbers) values.push(await this.value(one, number));
+    return values;
   }
 
   /** Values of an entry that is in its page as a whole, as those of numbers are. */
