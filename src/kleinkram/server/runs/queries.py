@@ -56,6 +56,10 @@ _MISSION = (
 )
 ACTION_NAME = action_version.c.definition["name"].astext
 _unpublished = action_version.alias("unpublished")
+# What only one run shows, and what no response has: it can be large.
+_DETAILS = (run.c.samples, run.c.problems, run.c.proposed, run.c.previews)
+_INTERNAL = (run.c.inputs_fingerprint, run.c.input_metadata, run.c.checks_sha256, run.c.log_blob_id, run.c.traceparent)
+_LISTED = [column for column in run.c if column not in {*_DETAILS, *_INTERNAL}]
 _OF_RUN = (run.c.mission_id, run.c.parameters, run.c.ended_at)
 _ACTION = (
     action.c.id.label("action_id"),
@@ -84,8 +88,9 @@ def visible_runs(actor: Actor) -> Select[Any]:
 
 
 def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
-    """Add the names of people and runners, and the actor's level, to a select that began with `visible_runs`."""
+    """Return what lists show of a select that began with `visible_runs`, with names and the actor's level."""
     columns = (
+        *_LISTED,
         *_MISSION,
         *_ACTION,
         person.c.name.label("started_by_name"),
@@ -93,13 +98,15 @@ def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         PROJECT_ISOLATION,
         level_on_mission(actor).label("level"),
     )
-    named = stmt.add_columns(*columns).outerjoin(person, person.c.id == run.c.started_by_id)
-    return named.outerjoin(runner, runner.c.id == run.c.runner_id)
+    named = stmt.outerjoin(person, person.c.id == run.c.started_by_id)
+    named = named.outerjoin(runner, runner.c.id == run.c.runner_id)
+    return named.with_only_columns(*columns, maintain_column_froms=True)
 
 
 def one_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
-    """Return a row of `run_rows`, with the definition of the action."""
-    return run_rows(actor, visible_runs(actor).where(run.c.id == run_id)).add_columns(action_version.c.definition)
+    """Return a row of `run_rows`, with its details and the definition of the action."""
+    stmt = run_rows(actor, visible_runs(actor).where(run.c.id == run_id))
+    return stmt.add_columns(*_DETAILS, action_version.c.definition)
 
 
 def filter_runs(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:

@@ -2,7 +2,7 @@
 
 import datetime
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from sqlalchemy import ColumnElement, RowMapping, or_, select
@@ -141,8 +141,10 @@ async def _find_row(db: Connection, actor: Actor, run_id: uuid.UUID) -> RowMappi
     return row
 
 
-def _to_run(actor: Actor, row: RowMapping) -> VisibleRun:
+def _to_run(actor: Actor, mapping: RowMapping) -> VisibleRun:
     """Convert a row of `queries.run_rows`."""
+    # A list has thousands of values: of a dictionary, they are read faster.
+    row = dict(mapping)
     started_by_id: uuid.UUID = row["started_by_id"]
     needed = Right.create if started_by_id == actor.person_id else Right.delete
     starter = PersonRef(id=started_by_id, name=row["started_by_name"])
@@ -159,12 +161,12 @@ def _to_run(actor: Actor, row: RowMapping) -> VisibleRun:
     return VisibleRun(read, to_needs(row), row["level"], started_by_id)
 
 
-def _to_mission(row: RowMapping) -> MissionRef:
+def _to_mission(row: Mapping[Any, Any]) -> MissionRef:
     project = ProjectRef(id=row["project_id"], name=row["project_name"])
     return MissionRef(id=row["mission_id"], name=row["mission_name"], project=project)
 
 
-def _to_action(row: RowMapping) -> runs.ActionRef:
+def _to_action(row: Mapping[Any, Any]) -> runs.ActionRef:
     return runs.ActionRef(id=row["action_id"], name=row["action_name"], version=row["action_number"])
 
 

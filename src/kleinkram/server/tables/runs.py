@@ -180,6 +180,13 @@ run = sa.Table(
     sa.Index("ix_run_launch_project_id", "launch_project_id", "claimed_at"),
     sa.Index("ix_run_started_by_id", "started_by_id", "claimed_at"),
     sa.Index("ix_run_created_at", "created_at", "id"),
+    # Lists of active runs beside any number of ended ones, and their number.
+    sa.Index(
+        "ix_run_active",
+        *("created_at", "id"),
+        postgresql_include=["mission_id"],
+        postgresql_where=sa.text("state IN ('queued', 'preparing', 'running', 'collecting')"),
+    ),
     sa.Index("ix_run_mission_id", "mission_id", "created_at"),
     sa.Index("ix_run_job_id", sa.text("(placement ->> 'job_id')"), postgresql_where=sa.text("placement IS NOT NULL")),
     sa.Index(
