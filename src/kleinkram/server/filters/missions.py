@@ -22,6 +22,7 @@ from kleinkram.server.filters.files import (
     span_conditions,
     topic_conditions,
 )
+from kleinkram.server.filters.mission_events import has_event
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, SearchWord, words_of
 from kleinkram.server.filters.text import contains, key_contains, mission_contains, row_exists
 from kleinkram.server.filters.verdicts import check_conditions
@@ -34,7 +35,7 @@ _MISSION_FIELDS = frozenset(
     {
         *("text", "project", "project_id", "projects", "mission", "mission_id", "missions"),
         *("where", "recorded_after", "recorded_before", "without"),
-        *("verdict", "check", "finding", "metric"),
+        *("event", "verdict", "check", "finding", "metric"),
     }
 )
 
@@ -103,6 +104,7 @@ def _conditions(actor: Actor, matching: MissionFilter, plan: SearchPlan) -> Cond
     if matching.name is not None:
         conditions.append(matches_key(mission.c.name_key, matching.name))
     conditions += any_of(mission, matching.missions)
+    conditions += has_event(actor, matching.event)
     conditions += check_conditions(actor, matching)
     conditions += [metadata_condition(expression) for expression in matching.where]
     conditions += [mission_contains(actor, plan, word) for word in words_of(matching.text)]
