@@ -47,7 +47,7 @@ def _walk(api: Api) -> Walk:
     spans = {"early": (0, 10), "late": (10, 20), "side": (0, 20)}
     files = {}
     for name, (start, end) in spans.items():
-        times = {"start_ns": _AT_NS + start * _S, "end_ns": _AT_NS + end * _S}
+        times: dict[str, Any] = {"start_ns": _AT_NS + start * _S, "end_ns": _AT_NS + end * _S}
         files[name] = sample.file(mission_id, f"{name}.mcap", topics=[{"name": "/imu", "count": 1}], **times)
     files["notes"] = sample.file(mission_id, "notes.txt.mcap")
     files["other"] = sample.file(other_id, "other.mcap", start_ns=_AT_NS, end_ns=_AT_NS + 20 * _S)

@@ -63,8 +63,12 @@ def all_events() -> Select[Any]:
 
 
 def visible_events(actor: Actor) -> Select[Any]:
-    """Return the events that `actor` may see; none for credentials that do not show whole missions."""
-    shown = true() if sees_whole_missions(actor) else false()
+    """Return the events that `actor` may see: none for links to some files; their own for tokens that do not read."""
+    shown: ColumnElement[bool] = true()
+    if actor.limits is not None and actor.limits.file_ids is not None:
+        shown = false()
+    elif not sees_whole_missions(actor):
+        shown = mission_event.c.created_by_id == actor.person_id
     return all_events().where(is_visible_mission(actor), shown)
 
 

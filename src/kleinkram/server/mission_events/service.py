@@ -21,7 +21,6 @@ from kleinkram.contract.mission_events import (
 from kleinkram.contract.names import name_key
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_match, require_mission
-from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, violated_constraint
@@ -33,6 +32,7 @@ from kleinkram.server.tables import mission_event
 # Fields of events that are columns of the same name.
 _PLAIN = ("start_ns", "end_ns", "labels", "colour", "note", "file_id", "recording_id", "topic")
 _REQUIRED = ("name", "start_ns", "labels", "note")
+_UNIQUE = {"pk_mission_event": "id", "uq_mission_event_finding_id": "finding_id"}
 # The change event, and the operation with its permission, of each entry of the audit log.
 _CHANGES = {
     "mission.create_event": (ChangeKind.created, "create_mission_event"),
@@ -87,10 +87,10 @@ async def create_event(
     try:
         await db.execute(insert(mission_event).values(**values))
     except IntegrityError as error:
-        if violated_constraint(error) != "pk_mission_event":
+        if (field := _UNIQUE.get(violated_constraint(error) or "")) is None:
             raise
-        raise _invalid("id", "another mission has an event of this id") from None
-    created = await _read(db, actor, event_id)
+        raise _invalid(field, "it belongs to an event that you do not see here") from None
+    created = await get_event(db, actor, event_id)
     await _record(db, actor, "mission.create_event", created, after=_plain(created))
     return created
 
@@ -114,7 +114,7 @@ async def update_event(
     _check_span(int(str(values.get("start_ns", old.start_ns))), values.get("end_ns", old.end_ns))
     await _check_references(db, old.mission.id, file_id=values.get("file_id"), recording_id=values.get("recording_id"))
     await db.execute(queries.change_event(event_id, **values))
-    new = await _read(db, actor, event_id)
+    new = await get_event(db, actor, event_id)
     before, after = _plain(old), _plain(new)
     differing = [name for name in before if before[name] != after[name]]
     versions = ({name: version[name] for name in differing} for version in (before, after))
@@ -138,20 +138,12 @@ async def _find_existing(
     db: Connection, actor: Actor, mission_id: uuid.UUID, new_event: MissionEventCreate
 ) -> MissionEventRead | None:
     """Return the event of a mission that a request would add again."""
-    stmt = queries.all_events().where(mission_event.c.mission_id == mission_id)
+    stmt = queries.visible_events(actor).where(mission_event.c.mission_id == mission_id)
     for column, value in ((mission_event.c.id, new_event.id), (mission_event.c.finding_id, new_event.finding_id)):
         row = None if value is None else (await db.execute(stmt.where(column == value))).one_or_none()
         if row is not None:
-            if row.created_by_id != actor.person_id and not sees_whole_missions(actor):
-                raise _invalid(column.name, "the mission has such an event, which this credential does not show")
             return queries.to_event(row, actor)
     return None
-
-
-async def _read(db: Connection, actor: Actor, event_id: uuid.UUID) -> MissionEventRead:
-    """Return an event that the actor wrote, also to credentials that only write."""
-    row = (await db.execute(queries.all_events().where(mission_event.c.id == event_id))).one()
-    return queries.to_event(row, actor)
 
 
 async def _lock(db: Connection, actor: Actor, event_id: uuid.UUID, operation: str) -> MissionEventRead:
