@@ -264,12 +264,12 @@ def test_a_mission_has_a_limited_number_of_events(api: Api, mission_id: str) -> 
     assert "10,000" in problem["problems"][0]["message"]
 
 
-def test_open_pages_hear_of_every_change(api: Api, mission_id: str) -> None:
+def test_open_pages_learn_of_every_change(api: Api, mission_id: str) -> None:
     with listening(api) as ears:
         made = _add(api, mission_id)
-        heard = {"resource_type": "mission_event", "id": made["id"], "mission_id": mission_id}
-        ears.receive(**heard, change="created")
+        change = {"resource_type": "mission_event", "id": made["id"], "mission_id": mission_id}
+        ears.receive(**change, change="created")
         api.patch(f"/mission-events/{made['id']}", {"note": "x"}).ok()
-        ears.receive(**heard, change="changed")
+        ears.receive(**change, change="changed")
         api.delete(f"/mission-events/{made['id']}").ok(204)
-        ears.receive(**heard, change="removed")
+        ears.receive(**change, change="removed")
