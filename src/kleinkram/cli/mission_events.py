@@ -20,7 +20,7 @@ from kleinkram.contract.text_tables import csv_text
 from kleinkram.recordings.time_range import resolve_time
 
 app = Subcommands("Mark moments and spans of missions by name, and list them; `klein cut --event` cuts them.")
-EventArgument = Annotated[str, argument("EVENT", "Id of the event; `klein event list --wide` shows it.")]
+EventArgument = Annotated[str, argument("EVENT", "Id of the event; `klein event list --json` shows it.")]
 StartOption = Annotated[
     Text, option("--start", "TIME", "Log time: 2026-05-01T10:00:00Z, 10:00 (UTC), or +20s after the mission's start.")
 ]

@@ -162,5 +162,5 @@ class MissionEvents(ApiResource):
 def _path(event: Ref) -> str:
     event_id = known_id(event, "event")
     if event_id is None:
-        raise InvalidInput(what=f"The event {event!r}", reason="give its id; `klein event list --wide` shows them")
+        raise InvalidInput(what=f"The event {event!r}", reason="give its id; `klein event list --json` shows them")
     return f"/mission-events/{event_id}"
