@@ -130,6 +130,17 @@ def test_one_mcap_is_cut_around_each_event(
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+def test_files_and_missions_are_selected_by_their_events(
+    klein: Klein, client: Client, mission: str, tmp_path: Path
+) -> None:
+    client.mission_events.add(mission, "rare glare", "+2s", file_id=client.files.get("drive.mcap", mission=mission).id)
+    assert [one["path"] for one in _json(klein, "file", "list", "--event", "rare*")["items"]] == ["drive.mcap"]
+    assert [one["id"] for one in _json(klein, "mission", "list", "--event", "RARE GLARE")["items"]] == [mission]
+    assert [one.path for one in client.files.list(event="rare glare")] == ["drive.mcap"]
+    klein("download", "--event", "rare glare", "--dest", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.mcap"]
+
+
 def test_slices_of_several_missions_and_of_equal_names_are_in_files_of_their_own(
     client: Client, api: Api, mission: str, drives: Path, tmp_path: Path
 ) -> None:

@@ -100,6 +100,14 @@ def test_missions_are_found_by_their_events(walk: Walk, query: str, count: int) 
     assert walk.missions_with(query) == count
 
 
+def test_files_are_not_read_where_missions_decide(walk: Walk) -> None:
+    with walk.api.statements() as statements:
+        walk.missions_with("event:stumble")
+    # Only the condition on files compares times.
+    assert any("mission_event.name_key" in statement for statement in statements)
+    assert not any("mission_event.start_ns" in statement for statement in statements)
+
+
 def test_the_filter_of_missions_and_files_has_the_same_field(walk: Walk) -> None:
     own = {"project_id": walk.project_id}
     assert [one["id"] for one in walk.api.all("/missions", {**own, "event": "handover"})] == [walk.mission_id]

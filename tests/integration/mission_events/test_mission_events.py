@@ -1,5 +1,6 @@
 """Events of missions through HTTP: who may do what, what is refused, and what is recorded."""
 
+import json
 import uuid
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -208,6 +209,38 @@ def test_a_link_to_a_mission_shows_its_events_without_people_and_one_to_files_no
     assert of_file.all("/mission-events") == []
     of_file.get(f"/mission-events/{made['id']}").refused(404, "not_found")
     of_file.get("/files", {"event": "stumble"}).refused(422, "invalid_query")
+
+
+def test_a_run_adds_events_of_its_own_and_changes_no_others(api: Api, mission_id: str) -> None:
+    run_id, _ = _finding(api, mission_id)
+    other = _add(api, mission_id)
+    token = people.token(api, str(OWNER_ID), {Scope.read, Scope.upload, Scope.write})
+    of_run = "UPDATE token SET kind = 'run', run_id = %s, max_right = %s WHERE id = %s"
+    api.sql(of_run, run_id, Right.create.value, token.id)
+    run = api.as_(token.secret)
+    made = _add(run, mission_id)
+    assert made["run_id"] == run_id
+    run.patch(f"/mission-events/{made['id']}", {"note": "x"}).ok()
+    run.patch(f"/mission-events/{other['id']}", {"note": "x"}).refused(403, "forbidden")
+    assert api.all("/mission-events", {"run_id": run_id}) == [api.get(f"/mission-events/{made['id']}").ok()]
+
+
+def test_texts_of_events_that_mention_a_person_are_listed(api: Api, mission_id: str) -> None:
+    word = f"falcon{uuid.uuid4().hex[:8]}"
+    who = people.person(api, word)
+    _add(api, mission_id, note=f"{word} slipped", labels=[word])
+    people.grant(api, who, Right.read, mission_id=mission_id)
+    lines = api.as_(who.token).get(f"/people/{who.id}/export").ok().splitlines()
+    mentions = [line["record"] for line in map(json.loads, lines) if line["section"] == "mentions"]
+    assert [(one["id"], one["fields"]) for one in mentions] == [
+        (mission_id, ["note of an event", "labels of an event"])
+    ]
+    own = api.as_(who.token).post  # what they wrote is theirs
+    people.grant(api, who, Right.create, mission_id=mission_id)
+    own(f"/missions/{mission_id}/events", {"name": "mine", "start_ns": 1}).ok(201)
+    lines = api.as_(who.token).get(f"/people/{who.id}/export").ok().splitlines()
+    records = [line["record"] for line in map(json.loads, lines) if line["section"] == "mission_events"]
+    assert [(one["mission_id"], one["name"]) for one in records] == [(mission_id, "mine")]
 
 
 def test_lists_are_filtered_and_ordered_page_by_page(api: Api, mission_id: str) -> None:

@@ -38,6 +38,8 @@ _MISSION_FIELDS = frozenset(
         *("event", "verdict", "check", "finding", "metric"),
     }
 )
+# Those that match no file of a mission that they do not match itself.
+_DECIDED_BY_MISSION = _MISSION_FIELDS - {"text", "recorded_after", "recorded_before", "without"}
 
 
 def filter_projects(actor: Actor, stmt: Select[Row], *, name: str | None, text: str | None) -> Select[Row]:
@@ -72,6 +74,9 @@ def filter_missions_by_files(
     if matching == FileFilter():
         return stmt
     own = _own_conditions(actor, matching, plan) if _applies_to_missions(matching) else None
+    if own is not None and matching.model_dump(exclude_defaults=True).keys() <= _DECIDED_BY_MISSION:
+        # Files find no more: for an event in most of 4,000 missions, 200,000 files took 2.4 instead of 0.1 s.
+        return stmt.where(*own)
     if plan.is_common:
         by_files = _has_matching_file(actor, matching, plan)
         return stmt.where(by_files if own is None else or_(by_files, and_(true(), *own)))
