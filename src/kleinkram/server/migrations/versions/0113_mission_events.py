@@ -2,8 +2,8 @@
 
 from alembic import context, op
 
-revision = "0112"
-down_revision = "0111"
+revision = "0113"
+down_revision = "0112"
 # Programs of that schema neither show nor write events.
 compatible_from = "0106"
 # A foreign key locks the table that it refers to.
