@@ -146,7 +146,7 @@ def test_tables_and_migrations_agree(postgres: RunningPostgres, database: str) -
 
 def test_word_indexes_have_short_pending_lists(postgres: RunningPostgres, database: str) -> None:
     options = postgres.sql(_PENDING_LISTS, database=database).split()
-    assert options == ["{gin_pending_list_limit=256}"] * 10
+    assert options == ["{gin_pending_list_limit=256}"] * 11
 
 
 def test_head_is_the_newest_revision() -> None:

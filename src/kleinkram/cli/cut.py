@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Annotated
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Many, flag, option
+from kleinkram.cli.commands import Many, Text, flag, option
 from kleinkram.cli.commands import argument as positional
 from kleinkram.cli.errors import Interrupted
+from kleinkram.cli.event_slices import EventChoice, cut_around_events
 from kleinkram.cli.render import Output, details, escape, note
 from kleinkram.cli.units import count, instant, size, span
 from kleinkram.client import Client, connect
@@ -43,7 +44,13 @@ def cut(
     topics: options.TopicsOption = None,
     start: options.StartOption = None,
     end: options.EndOption = None,
-    output: Annotated[Path | None, option("--output -o", "FILE", "The MCAP to write; it must not exist.")] = None,
+    output: Annotated[
+        Path | None, option("--output -o", "FILE", "The MCAP to write, which must not exist; with --event, a folder.")
+    ] = None,
+    event: Annotated[Many, option("--event", "GLOB", "Cut around each event of this name instead; repeatable.")] = None,
+    around: Annotated[
+        Text, option("--around", "TIME", "Take so much before and after an event: 5s by default.")
+    ] = None,
     attachments: Annotated[bool, flag("--attachments/--no-attachments", "Copy the attachments.")] = True,
     metadata: Annotated[bool, flag("--metadata/--no-metadata", "Copy the metadata records.")] = True,
     latched: Annotated[
@@ -58,11 +65,21 @@ def cut(
     """Write topics, or a time range, of recordings as one MCAP. Several recordings are merged in log time order.
 
     Only the indexes and the chunks that are needed are read; from a server (-p, -m), they are fetched from the store.
-    Without SOURCE, all recordings of the mission are read, except those that runs made.
+    Without SOURCE, all recordings of the mission are read, except those that runs made. With --event, one MCAP for
+    each event of the mission, or of all missions of the project, is written to a folder.
     """
+    how = McapOptions(compression, attachments=attachments, metadata=metadata, latched=latched)
+    if event:
+        if sources or start is not None or end is not None:
+            raise InvalidInput(what="--event", reason="the events say what is cut: leave out SOURCE, --start and --end")
+        choice = EventChoice(event, around or "5s", project, mission)
+        names = options.topic_names(topics)
+        with connect() as client:
+            return cut_around_events(client, choice, output or Path(), topics=names, how=how, dry_run=dry_run)
+    if around is not None:
+        raise InvalidInput(what="--around", reason="it requires --event")
     if output is None and not dry_run:
         raise InvalidInput(what="The command", reason="specify the file to write: -o out.mcap")
-    how = McapOptions(compression, attachments=attachments, metadata=metadata, latched=latched)
     with ExitStack() as stack:
         times: tuple[Time | None, Time | None] = start, end
         if mission is not None:

@@ -37,6 +37,7 @@ class Choice:
     message_type: Annotated[Many, option("--type", "GLOB", "Select files with a matching message type.")] = None
     format: Annotated[Many, option("--format", "FORMAT", "Select by format: mcap, rosbag1, db3, …")] = None
     label: Annotated[Many, option("--label", "LABEL", "Select files with this label.")] = None
+    event: Annotated[Many, option("--event", "GLOB", "Select files recorded during an event of this name.")] = None
     state: Annotated[
         Many, option("--state", "STATE", "Select by state of the bytes: stored, verified, lost, corrupt.")
     ] = None

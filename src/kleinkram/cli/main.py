@@ -34,6 +34,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "project": ("project", "app", "Manage projects."),
     "mission": ("mission", "app", "Manage missions."),
     "file": ("file", "app", "Manage files, and show their topics."),
+    "event": ("mission_events", "app", "Mark moments and spans of missions, and list them."),
     "access": ("people", "access_app", "Manage the rights on a project or a mission."),
     "group": ("people", "group_app", "Manage groups of people."),
     "person": ("people", "person_app", "Manage people."),

@@ -56,6 +56,7 @@ def list_(
     text: Annotated[Text, option("--text", None, "Search names, notes and metadata for TEXT.")] = None,
     where: WhereOption = None,
     topic: Annotated[Many, option("--topic -t", "GLOB", "Select missions with a matching topic.")] = None,
+    event: Annotated[Many, option("--event", "GLOB", "Select missions with an event of this name.")] = None,
     unsatisfied: Annotated[
         bool, flag("--unsatisfied", "Select missions whose metadata does not satisfy the project.")
     ] = False,
@@ -68,7 +69,13 @@ def list_(
 ) -> Output:
     """List missions."""
     refs = [str(client.missions.id_of(ref)) if "/" in ref else ref for ref in [*(names or []), *(mission or [])]]
-    fields: dict[str, object] = {"text": text, "where": where, "topic": topic, **projects_of(client, project)}
+    fields: dict[str, object] = {
+        "text": text,
+        "where": where,
+        "topic": topic,
+        "event": event,
+        **projects_of(client, project),
+    }
     fields |= {"name": refs[0]} if len(refs) == 1 and not is_id(refs[0]) else {"missions": refs}
     matching = filter_of(MissionFilter, fields)
     if unsatisfied:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kleinkram.client.transfer import TransferReport
     from kleinkram.contract.files import FileRead
     from kleinkram.contract.metadata import Metadata
+    from kleinkram.contract.mission_events import MissionEventRead
 
     AnyPath = str | os.PathLike[str]
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from kleinkram.client.exports import MissionExport
     from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.metrics import Metrics
+    from kleinkram.client.mission_events import MissionEvents
     from kleinkram.client.missions import Missions, Projects
     from kleinkram.client.people import Access, Groups, People
     from kleinkram.client.runs import Runners, Runs
@@ -41,8 +43,10 @@ if TYPE_CHECKING:
     from kleinkram.recordings.recording import Topics
     from kleinkram.recordings.writing.export import ExportFormat
     from kleinkram.recordings.writing.image_files import ImageOptions
+    from kleinkram.recordings.writing.mcap import McapOptions
 
 _log = logging.getLogger("kleinkram")
+_MAX_AROUND_S = 86_400
 
 # The modules of resources that are not named after them.
 _MODULES = {
@@ -71,6 +75,7 @@ class Client:
     recordings: "Recordings"
     uploads: "Uploads"
     checks: "Checks"
+    mission_events: "MissionEvents"
     actions: "Actions"
     project_actions: "ProjectActions"
     runs: "Runs"
@@ -189,6 +194,42 @@ class Client:
             return download_slices(self, slices, SliceRange(topics, start, end), overwrite=overwrite)
         plan = plan_download(files, folder, nested=nested)
         return download(self, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s)
+
+    def cut_events(
+        self,
+        events: "Iterable[MissionEventRead]",
+        dest: "AnyPath" = ".",
+        *,
+        around_s: float = 5.0,
+        topics: "Topics | None" = None,
+        options: "McapOptions | None" = None,
+    ) -> "TransferReport":
+        """Write what was recorded around each event to a folder, as one MCAP each, and return the result for each.
+
+        Only the indexes and the chunks that are needed are fetched. The recordings of the mission at that time are
+        merged; of an event that refers to a file or a recording, it is that recording. A file is named after its event
+        and the start of that, as in `stumble-2026-05-01T10-00-00.000Z.mcap`, in PROJECT/MISSION/ where the events are
+        of several missions. Existing files stay, and are refused.
+
+        Args:
+            events: events, as `client.mission_events.list` yields them.
+            dest: the folder; it is created if it is missing.
+            around_s: the seconds before the start and after the end of an event.
+            topics: names of topics, or globs of them.
+            options: how the MCAPs are written.
+
+        Raises:
+            NothingToDo: there is no event, or nothing was recorded around any.
+            ServerUnreachable: the server stayed unavailable.
+        """
+        from kleinkram.client.transfer.event_slices import cut_event_slices, plan_event_slices
+
+        if not 0 <= around_s < _MAX_AROUND_S:
+            raise InvalidInput(what="around_s", reason=f"it is from 0 to {_MAX_AROUND_S:,} s")
+        plan = plan_event_slices(events, Path(as_paths(dest)[0]), around_ns=round(around_s * 10**9))
+        if not plan.slices and not plan.left_out:
+            raise NothingToDo(reason="No event matches")
+        return cut_event_slices(self, plan, topics=topics, options=options)
 
     def export(
         self,

@@ -32,6 +32,7 @@ class MissionFields(TypedDict, total=False):
     recorded_before: Time
     completed: bool
     satisfied: bool
+    event: str | Sequence[str]
     verdict: str | Sequence[str]
     check: str | Sequence[str]
     finding: str | Sequence[str]
@@ -61,6 +62,7 @@ class FileFields(TypedDict, total=False):
     without: str | Sequence[str]
     recorded_after: Time
     recorded_before: Time
+    event: str | Sequence[str]
     verdict: str | Sequence[str]
     check: str | Sequence[str]
     finding: str | Sequence[str]

@@ -147,8 +147,10 @@ class LocationFilter(Request):
 class MissionCriteria(Request):
     """The criteria that filters of missions and of files have in common.
 
-    Of the missions' checks: `verdict`; `check`, names or globs of checks that fail; of the latest results of runs,
-    `finding`, codes or globs, of which any suffices; and `metric`, comparisons such as `ate_rmse>0.5`, which all hold.
+    `event` are names or globs of events, in any case: of a mission that has one of them, of a file that was recorded
+    during one or to which one refers. Of the missions' checks: `verdict`; `check`, names or globs of checks that fail;
+    of the latest results of runs, `finding`, codes or globs, of which any suffices; and `metric`, comparisons such as
+    `ate_rmse>0.5`, which all hold.
     """
 
     text: Term | None = None
@@ -161,6 +163,7 @@ class MissionCriteria(Request):
     message_type: Terms = []
     recorded_after: datetime.datetime | None = None
     recorded_before: datetime.datetime | None = None
+    event: Terms = []
     verdict: list[Verdict] = []
     check: Terms = []
     finding: Terms = []

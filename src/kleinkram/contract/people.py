@@ -108,6 +108,7 @@ class DataSection(str, enum.Enum):
     uploads = "uploads"
     files = "files"
     checks = "checks"
+    mission_events = "mission_events"
     actions = "actions"
     runs = "runs"
     mentions = "mentions"

@@ -194,6 +194,7 @@ _KEYS = (
     QueryKey("duration", "duration_ns", "duration>10m", _COMPARED),
     QueryKey("after", "recorded_after", "after:2026-05-01"),
     QueryKey("before", "recorded_before", "before:2026-05-01"),
+    QueryKey("event", "event", "event:stumble", is_list=True),
     QueryKey("verdict", "verdict", "verdict:bad", is_list=True, check=_enum_check(Verdict)),
     QueryKey("check", "check", "check:image.black", is_list=True),
     QueryKey("finding", "finding", "finding:clock.*", is_list=True),

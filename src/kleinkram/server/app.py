@@ -40,6 +40,7 @@ from kleinkram.server.http.errors import install_error_handlers
 from kleinkram.server.http.middleware import RequestMiddleware
 from kleinkram.server.http.trace_middleware import TraceMiddleware
 from kleinkram.server.http.web_app import router as web
+from kleinkram.server.mission_events.routes import router as mission_events
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.routes import router as people
@@ -63,6 +64,7 @@ ROUTERS = (
     service,
     projects,
     missions,
+    mission_events,
     files,
     recordings,
     overviews,

@@ -124,6 +124,25 @@ OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
             ),
         ),
     ),
+    "create_mission_event": (
+        Caller(post("/missions/{mission}/events", lambda _: {"name": new_name(), "start_ns": 1}), Target.mission),
+    ),
+    "list_mission_events": (
+        Caller(get("/mission-events", mission_id="{mission}"), Target.event, shows=lists("event")),
+    ),
+    "get_mission_event": (Caller(get("/mission-events/{event}"), Target.event),),
+    "update_mission_event": (Caller(patch("/mission-events/{event}", lambda _: {"note": ""}), Target.event),),
+    "delete_mission_event": (
+        Caller(
+            delete("/mission-events/{event}"),
+            Target.event,
+            undo=sets(
+                "INSERT INTO mission_event (id, mission_id, name, name_key, start_ns, created_by_id)"
+                " SELECT %s, id, 'stumble', 'stumble', 1, created_by_id FROM mission WHERE id = %s",
+                *("event", "mission"),
+            ),
+        ),
+    ),
     "create_check_note": (
         Caller(
             post("/missions/{mission}/check-notes", lambda _: {"check": "topic.gap", "text": new_name()}),

@@ -21,6 +21,8 @@ class Target(enum.Enum):
     server = enum.auto()
     project = enum.auto()
     mission = enum.auto()
+    # An event of the mission, which links to some files do not show.
+    event = enum.auto()
     file = enum.auto()
     # Shares, groups and people.
     link = enum.auto()
@@ -45,6 +47,7 @@ _MISSION_REACHES = {Reach.everything, Reach.project, Reach.mission}
 # The links that show a target.
 _LINK_REACHES = {
     Target.mission: {Reach.mission, Reach.file, Reach.other_file},
+    Target.event: {Reach.mission},
     Target.file: {Reach.mission, Reach.file},
 }
 

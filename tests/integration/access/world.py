@@ -55,6 +55,8 @@ class Objects:
     # An acceptance of a failing check of the mission, and a note on one.
     acceptance: str
     note: str
+    # An event of the mission, which the owner added.
+    event: str
     # A person who shares no group or project with anybody.
     unrelated_person: str
     unrelated_person_name: str
@@ -117,6 +119,7 @@ def create_objects(api: Api, *, is_public: bool) -> Objects:
     unrelated_person = people.person(api)
     action, run, artifact = _create_run(api, project["id"], mission["id"], file)
     acceptance, note = _create_checks(api, project["id"], mission["id"])
+    added = api.post(f"/missions/{mission['id']}/events", {"name": "stumble", "start_ns": 1}).ok(201)
     items = Objects(
         project=project["id"],
         project_name=project["name"],
@@ -136,6 +139,7 @@ def create_objects(api: Api, *, is_public: bool) -> Objects:
         artifact=artifact,
         acceptance=acceptance,
         note=note,
+        event=added["id"],
         unrelated_person=unrelated_person.id,
         unrelated_person_name=unrelated_person.name,
     )

@@ -42,6 +42,12 @@ WRITTEN = {
         "images/camera.image.compressed/index.csv",
     ],
     "6. With `curl` alone": ["slice.mcap"],
+    "Around events": [
+        "events.csv",
+        "clips/stumble-2024-05-01T08-00-03.000Z.mcap",
+        "clips/steep part-2024-05-01T08-00-05.000Z.mcap",
+        "slips/slip-2024-05-01T08-00-04.000Z.mcap",
+    ],
     "In Python": [
         "imu.mcap",
         "csv/odom.csv",

@@ -1339,6 +1339,54 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/mission-events": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Mission Events
+         * @description List the events of missions that match.
+         */
+        get: operations["list_mission_events"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/mission-events/{event_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Mission Event
+         * @description Return one event.
+         */
+        get: operations["get_mission_event"];
+        put?: never;
+        post?: never;
+        /**
+         * Delete Mission Event
+         * @description Delete an event.
+         */
+        delete: operations["delete_mission_event"];
+        options?: never;
+        head?: never;
+        /**
+         * Update Mission Event
+         * @description Change an event; omitted fields do not change.
+         */
+        patch: operations["update_mission_event"];
+        trace?: never;
+    };
     "/api/v1/missions": {
         parameters: {
             query?: never;
@@ -1521,6 +1569,26 @@ export interface paths {
         get: operations["get_mission_checks"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/missions/{mission_id}/events": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Create Mission Event
+         * @description Add an event to a mission; the event of this id or finding that it has is returned unchanged.
+         */
+        post: operations["create_mission_event"];
         delete?: never;
         options?: never;
         head?: never;
@@ -4386,6 +4454,32 @@ export interface components {
          */
         ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "person_erased" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "not_from_library" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "cannot_slice" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "too_many_slices" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
+         * EventFileRef
+         * @description The file that an event refers to.
+         */
+        EventFileRef: {
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Path */
+            path: string;
+        };
+        /**
+         * EventRecordingRef
+         * @description The recording that an event refers to.
+         */
+        EventRecordingRef: {
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Name */
+            name: string;
+        };
+        /**
          * ExecutorAbilities
          * @description What an executor supports.
          *
@@ -4549,6 +4643,11 @@ export interface components {
              * @default []
              */
             content: components["schemas"]["ContentState"][];
+            /**
+             * Event
+             * @default []
+             */
+            event: string[];
             /**
              * Finding
              * @default []
@@ -5833,6 +5932,120 @@ export interface components {
             notes: string;
         };
         /**
+         * MissionEventCreate
+         * @description An event to add to a mission: a moment, or a span where `end_ns` is later than `start_ns`.
+         *
+         *     Times are log times, in ns since 1970. It may refer to a file or a recording of the mission, and to a topic.
+         *     `finding_id` is the finding of a run from which it is made. If the mission has an event with the `id` or of the
+         *     finding, nothing is added, and that event is returned: a request that is sent again does not double an event.
+         */
+        MissionEventCreate: {
+            /** Colour */
+            colour?: string | null;
+            /** End Ns */
+            end_ns?: number | null;
+            /** File Id */
+            file_id?: string | null;
+            /** Finding Id */
+            finding_id?: number | null;
+            /** Id */
+            id?: string | null;
+            /**
+             * Labels
+             * @default []
+             */
+            labels: string[];
+            /** Name */
+            name: string;
+            /**
+             * Note
+             * @default
+             */
+            note: string;
+            /** Recording Id */
+            recording_id?: string | null;
+            /** Start Ns */
+            start_ns: number;
+            /** Topic */
+            topic?: string | null;
+        };
+        /**
+         * MissionEventRead
+         * @description A moment or a span of a mission. Times are log times, in ns since 1970, and both ends belong to a span.
+         *
+         *     `end_ns` is null for a moment, or equal to the start. `file` is null also where the file is in the trash or was
+         *     moved. `run_id` is the run that added it or reported its finding. `created_by` is null for callers without an
+         *     account. `etag` covers the edited fields: a change with an outdated one is refused.
+         */
+        MissionEventRead: {
+            /** Colour */
+            colour: string | null;
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            created_by: components["schemas"]["PersonRef"] | null;
+            /** End Ns */
+            end_ns: number | null;
+            /** Etag */
+            etag?: string;
+            file: components["schemas"]["EventFileRef"] | null;
+            /** Finding Id */
+            finding_id: number | null;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Labels */
+            labels: string[];
+            mission: components["schemas"]["MissionRef"];
+            /** Name */
+            name: string;
+            /** Note */
+            note: string;
+            recording: components["schemas"]["EventRecordingRef"] | null;
+            /** Run Id */
+            run_id: string | null;
+            /** Start Ns */
+            start_ns: number;
+            /** Topic */
+            topic: string | null;
+        };
+        /**
+         * MissionEventSort
+         * @description Orders of a list of events.
+         * @enum {string}
+         */
+        MissionEventSort: "start" | "-start" | "created" | "-created";
+        /**
+         * MissionEventUpdate
+         * @description Changes of an event; omitted fields stay. Null removes an end, which makes it a moment, a colour or a reference.
+         *
+         *     A `file_id` replaces the recording that the event refers to, a `recording_id` the file.
+         */
+        MissionEventUpdate: {
+            /** Colour */
+            colour?: string | null;
+            /** End Ns */
+            end_ns?: number | null;
+            /** File Id */
+            file_id?: string | null;
+            /** Labels */
+            labels?: string[] | null;
+            /** Name */
+            name?: string | null;
+            /** Note */
+            note?: string | null;
+            /** Recording Id */
+            recording_id?: string | null;
+            /** Start Ns */
+            start_ns?: number | null;
+            /** Topic */
+            topic?: string | null;
+        };
+        /**
          * MissionFile
          * @description An artifact that becomes the file `to` of the mission, made from the inputs `derived_from` (empty: all).
          */
@@ -6332,6 +6545,15 @@ export interface components {
         Page_MetricRead_: {
             /** Items */
             items: components["schemas"]["MetricRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[MissionEventRead] */
+        Page_MissionEventRead_: {
+            /** Items */
+            items: components["schemas"]["MissionEventRead"][];
             /** Next */
             next?: string | null;
             /** Total */
@@ -10110,6 +10332,7 @@ export interface operations {
                 content?: components["schemas"]["ContentState"][];
                 count?: boolean;
                 cursor?: string | null;
+                event?: string[];
                 finding?: string[];
                 format?: string[];
                 label?: string[];
@@ -11312,6 +11535,147 @@ export interface operations {
             };
         };
     };
+    list_mission_events: {
+        parameters: {
+            query?: {
+                after?: string | null;
+                before?: string | null;
+                count?: boolean;
+                cursor?: string | null;
+                label?: string[];
+                limit?: number;
+                mission_id?: string | null;
+                mission_ids?: string[];
+                name?: string[];
+                project_id?: string | null;
+                project_ids?: string[];
+                run_id?: string | null;
+                sort?: components["schemas"]["MissionEventSort"];
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_MissionEventRead_"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_mission_event: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                event_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MissionEventRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    delete_mission_event: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                event_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    update_mission_event: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description The `etag` of the object that was edited, in quotes. */
+                "If-Match"?: string | null;
+            };
+            path: {
+                event_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["MissionEventUpdate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MissionEventRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     list_missions: {
         parameters: {
             query?: {
@@ -11319,6 +11683,7 @@ export interface operations {
                 completed?: boolean | null;
                 count?: boolean;
                 cursor?: string | null;
+                event?: string[];
                 finding?: string[];
                 limit?: number;
                 message_type?: string[];
@@ -11691,6 +12056,41 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["MissionChecksRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    create_mission_event: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                mission_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["MissionEventCreate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MissionEventRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */
@@ -14329,6 +14729,7 @@ export interface operations {
                 check?: string[];
                 content?: components["schemas"]["ContentState"][];
                 derived?: boolean;
+                event?: string[];
                 finding?: string[];
                 format?: string[];
                 label?: string[];
@@ -14490,6 +14891,7 @@ export interface operations {
                 content?: components["schemas"]["ContentState"][];
                 count?: boolean;
                 cursor?: string | null;
+                event?: string[];
                 finding?: string[];
                 format?: string[];
                 label?: string[];

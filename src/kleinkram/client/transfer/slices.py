@@ -28,6 +28,7 @@ from kleinkram.contract.files import FileRead, RecordingRead
 from kleinkram.contract.names import check_file_path
 
 if TYPE_CHECKING:
+    from kleinkram.recordings.errors import RecordingError
     from kleinkram.recordings.messages import Selection, Time
     from kleinkram.recordings.recording import Topics
     from kleinkram.recordings.writing.mcap import McapOptions
@@ -177,31 +178,20 @@ class _Slicer:
         return [pattern for pattern in self._patterns or () if pattern not in self._matched]
 
     def _result(self, target: SliceTarget) -> TransferResult | None:
-        from kleinkram.recordings.errors import (
-            CannotWrite,
-            NotConvertible,
-            OutsideRecording,
-            RecordingError,
-            SourceError,
-        )
+        from kleinkram.recordings.errors import OutsideRecording, RecordingError
 
+        local = target.dest / target.relative
         try:
             return self._write(target)
         except OutsideRecording:
             return None
-        except NotConvertible as error:
-            failure: KleinkramError = FileUnreadable(path=target.name, reason=error.reason)
-        except CannotWrite as error:
-            failure = DestinationRefused(path=str(target.dest / target.relative), reason=error.reason)
-        except SourceError as error:
-            failure = TransferFailed(path=target.name, reason=str(error))
         except RecordingError as error:
-            failure = FileUnreadable(path=target.name, reason=str(error))
+            failure: KleinkramError = failure_of(error, target.name, local)
         except ServerUnreachable:
             raise
         except KleinkramError as error:
             failure = error
-        return TransferResult(target.name, target.dest / target.relative, 0, Outcome.refused, error=failure)
+        return TransferResult(target.name, local, 0, Outcome.refused, error=failure)
 
     def _write(self, target: SliceTarget) -> TransferResult | None:
         local = target.dest / target.relative
@@ -214,7 +204,7 @@ class _Slicer:
             topics = self._matching([topic.name for topic in recording.topics])
             if topics is not None and not topics:
                 return None
-            _make_dest(target.dest)
+            make_dest(target.dest)
             make_folders(target.dest, target.relative)
             if is_there:
                 part.unlink(missing_ok=True)  # of a killed process
@@ -261,7 +251,21 @@ class _Slicer:
         return sorted(selected)
 
 
-def _make_dest(dest: Path) -> None:
+def failure_of(error: "RecordingError", name: str, local: Path) -> ClientError:
+    """Return why a slice of this name was not written to its path."""
+    from kleinkram.recordings.errors import CannotWrite, NotConvertible, SourceError
+
+    if isinstance(error, NotConvertible):
+        return FileUnreadable(path=name, reason=error.reason)
+    if isinstance(error, CannotWrite):
+        return DestinationRefused(path=str(local), reason=error.reason)
+    if isinstance(error, SourceError):
+        return TransferFailed(path=name, reason=str(error))
+    return FileUnreadable(path=name, reason=str(error))
+
+
+def make_dest(dest: Path) -> None:
+    """Make the folder of a download. Raises DestinationRefused."""
     try:
         dest.mkdir(parents=True, exist_ok=True)
     except OSError as error:

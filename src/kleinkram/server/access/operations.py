@@ -85,6 +85,12 @@ OPERATIONS: dict[str, Permission] = {
     "get_overview": _visible(),
     "list_mission_topics": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "get_mission_timeline": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
+    # Events of missions. CREATE on the mission suffices to change and delete one's own.
+    "create_mission_event": Permission(ResourceKind.mission, Right.create, _UPLOAD),
+    "list_mission_events": _visible(),
+    "get_mission_event": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
+    "update_mission_event": Permission(ResourceKind.mission, Right.write, _WRITE),
+    "delete_mission_event": Permission(ResourceKind.mission, Right.delete, _WRITE),
     # Checks
     "get_project_checks": Permission(ResourceKind.project, Right.read, _NAMES, guests=True),
     "set_project_checks": Permission(ResourceKind.project, Right.write, _WRITE),

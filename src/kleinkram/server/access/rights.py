@@ -31,7 +31,9 @@ from kleinkram.server.tables import (
 )
 
 _RIGHTS_LOCK = 0x6B6C5247
-_COUNTABLE = frozenset({"action", "file", "grant", "group", "mission", "project", "recording", "run", "share", "token"})
+_COUNTABLE = frozenset(
+    {"action", "event", "file", "grant", "group", "mission", "project", "recording", "run", "share", "token"}
+)
 
 
 class OwnedProject(NamedTuple):

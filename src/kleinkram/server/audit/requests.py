@@ -37,6 +37,7 @@ from kleinkram.server.tables import (
     file,
     membership,
     mission,
+    mission_event,
     person,
     project,
     recording,
@@ -61,7 +62,7 @@ _ON_PEOPLE = frozenset({"list_people", "list_groups", "get_person", "get_group",
 # Shows nothing without a link.
 _BY_LINK = frozenset({"get_share"})
 # Parameters of requests: of objects in a mission, and of objects outside projects.
-_INSIDE = {"file_id": file, "recording_id": recording, "upload_id": upload}
+_INSIDE = {"file_id": file, "recording_id": recording, "upload_id": upload, "event_id": mission_event}
 _OUTSIDE = {"person_id": person, "group_id": access_group}
 _INVALID_ID = uuid.UUID(int=0)
 _OBJECT_COLUMNS = ("resource_type", "resource_id", "resource_name", "project_id", "mission_id")

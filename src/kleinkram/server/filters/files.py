@@ -47,6 +47,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import ArrayText, like_pattern, matches_any, matches_key
 from kleinkram.server.filters.dates import iso_text, nanoseconds
+from kleinkram.server.filters.mission_events import recorded_during_event
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, words_of
 from kleinkram.server.filters.text import (
     NO_TIME,
@@ -107,6 +108,7 @@ def _field_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     if matching.mission_id is not None:
         conditions.append(mission.c.id == matching.mission_id)
     conditions += any_of(mission, matching.missions)
+    conditions += recorded_during_event(actor, matching.event)
     conditions += check_conditions(actor, matching)
     if matching.recording_id is not None:
         conditions.append(file.c.recording_id == matching.recording_id)

@@ -22,6 +22,7 @@ from kleinkram.server.filters.files import (
     span_conditions,
     topic_conditions,
 )
+from kleinkram.server.filters.mission_events import has_event
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, SearchWord, words_of
 from kleinkram.server.filters.text import contains, key_contains, mission_contains, row_exists
 from kleinkram.server.filters.verdicts import check_conditions
@@ -34,9 +35,11 @@ _MISSION_FIELDS = frozenset(
     {
         *("text", "project", "project_id", "projects", "mission", "mission_id", "missions"),
         *("where", "recorded_after", "recorded_before", "without"),
-        *("verdict", "check", "finding", "metric"),
+        *("event", "verdict", "check", "finding", "metric"),
     }
 )
+# Those that match no file of a mission that they do not match itself.
+_DECIDED_BY_MISSION = _MISSION_FIELDS - {"text", "recorded_after", "recorded_before", "without"}
 
 
 def filter_projects(actor: Actor, stmt: Select[Row], *, name: str | None, text: str | None) -> Select[Row]:
@@ -71,6 +74,9 @@ def filter_missions_by_files(
     if matching == FileFilter():
         return stmt
     own = _own_conditions(actor, matching, plan) if _applies_to_missions(matching) else None
+    if own is not None and matching.model_dump(exclude_defaults=True).keys() <= _DECIDED_BY_MISSION:
+        # Files find no more: for an event in most of 4,000 missions, 200,000 files took 2.4 instead of 0.1 s.
+        return stmt.where(*own)
     if plan.is_common:
         by_files = _has_matching_file(actor, matching, plan)
         return stmt.where(by_files if own is None else or_(by_files, and_(true(), *own)))
@@ -103,6 +109,7 @@ def _conditions(actor: Actor, matching: MissionFilter, plan: SearchPlan) -> Cond
     if matching.name is not None:
         conditions.append(matches_key(mission.c.name_key, matching.name))
     conditions += any_of(mission, matching.missions)
+    conditions += has_event(actor, matching.event)
     conditions += check_conditions(actor, matching)
     conditions += [metadata_condition(expression) for expression in matching.where]
     conditions += [mission_contains(actor, plan, word) for word in words_of(matching.text)]

@@ -21,6 +21,7 @@ from kleinkram.server.tables import (
     check_note,
     file,
     mission,
+    mission_event,
     project,
     project_checks,
     run,
@@ -118,6 +119,18 @@ _PLACES = (
         mission.c.id,
         mission.c.name,
         {"accepted check": check_acceptance.c.because},
+        _in_mission(mission.c.id),
+    ),
+    _Place(
+        MentionPlace.mission,
+        mission_event.join(mission, mission.c.id == mission_event.c.mission_id),
+        mission.c.id,
+        mission.c.name,
+        {
+            "name of an event": mission_event.c.name_key,
+            "note of an event": mission_event.c.note,
+            "labels of an event": sa.func.joined(mission_event.c.labels),
+        },
         _in_mission(mission.c.id),
     ),
     _Place(
