@@ -82,8 +82,10 @@ export const texts = {
   title: "Preview",
   topic: "Topic",
   noTopics: "This recording has no messages.",
-  noIndex: (until: number, size: number) =>
-    until < 0.9 * size
+  noIndex: (until: number, size: number, isFlightLog: boolean) =>
+    isFlightLog
+      ? `A flight log has no index and is read from its beginning. The preview shows ${formatSize(until)} of ${formatSize(size)}.`
+      : until < 0.9 * size
       ? `This recording was not closed and has no index. The preview shows its beginning: ${formatSize(until)} of ${formatSize(size)}.`
       : "This recording was not closed and has no index. The preview shows all readable data.",
   read: (bytes: number, size: number) => `${formatSize(bytes)} of ${formatSize(size)} read`,
