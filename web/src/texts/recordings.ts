@@ -74,8 +74,8 @@ export const worthAnotherTry: ReadonlySet<FailureCode> = new Set<FailureCode>([
 
 /** Why files of a format have no preview; null for formats that have one. */
 export function whyNoPreview(format: string | null): string | null {
-  if (format === "mcap" || format === "rosbag1" || format === "db3") return null;
-  return "Previews are available for MCAP files, ROS 1 bags and rosbag2 databases. Download the file to open it.";
+  if (format === "mcap" || format === "rosbag1" || format === "db3" || format === "ulog") return null;
+  return "Previews are available for MCAP files, ROS 1 bags, rosbag2 databases and flight logs (ULog). Download the file to open it.";
 }
 
 export const texts = {

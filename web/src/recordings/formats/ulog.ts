@@ -23,7 +23,7 @@ const NS_PER_US = 1000n;
 const LATEST_US = ((1n << 63n) - 1n) / NS_PER_US;
 const FLAG_BYTES = 40;
 const Kind = { addLogged: 0x41, flagBits: 0x42, data: 0x44, format: 0x46 } as const;
-const KINDS: ReadonlySet<number> = new Set([..."ABCDFILMOPQRS"].map((letter) => letter.charCodeAt(0)));
+const KINDS: ReadonlySet<number> = new Set(Array.from("ABCDFILMOPQRS", (letter) => letter.charCodeAt(0)));
 const TEXT = new TextDecoder();
 
 interface Subscription {
