@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-LINES = 60_000
+LINES = 70_000
 VIDEO_SIZE = (64, 48)
 VIDEO_FRAMES, FRAMES_PER_S = 20, 10
 SOUND_S = 2
@@ -19,13 +19,19 @@ TABLE_ROWS = 20_000
 WIDE_COLUMNS = 10_000
 SCRIPT = "<script>globalThis.executed = true; alert(1)</script>"
 SVG = f'<svg xmlns="http://www.w3.org/2000/svg" onload="globalThis.executed = true">{SCRIPT}</svg>\n'
-HTML = f'<!doctype html><body onload="globalThis.executed = true">{SCRIPT}<img src=x onerror="globalThis.executed = true">\n'
-STATE = {"id": 12345678901234567890, "joints": [1.5, -2.25, {"name": "knee", "limits": []}], "note": 'a: {"b"}, c', "on": True}
+_IMG = '<img src=x onerror="globalThis.executed = true">'
+HTML = f'<!doctype html><body onload="globalThis.executed = true">{SCRIPT}{_IMG}\n'
+STATE = {
+    "id": 12345678901234567890,
+    "joints": [1.5, -2.25, {"name": "knee", "limits": []}],
+    "note": 'a: {"b"}, c',
+    "on": True,
+}
 
 
 def line(number: int) -> str:
     """Return a line of the long text."""
-    return f"{number:08d} [INFO] localisation: pose {number * 0.25:.2f} is plausible, residual below the bound of the filter\n"
+    return f"{number:08d} [INFO] localisation: pose {number * 0.25:.2f} is plausible, residual below the bound\n"
 
 
 def make_files(folder: Path) -> None:
@@ -38,7 +44,8 @@ def make_files(folder: Path) -> None:
         sound.setparams((1, 2, 8000, 0, "NONE", "not compressed"))
         tone = [int(8000 * math.sin(at / 8000 * 440 * math.tau)) for at in range(8000 * SOUND_S)]
         sound.writeframes(struct.pack(f"<{len(tone)}h", *tone))
-    (folder / "paper.pdf").write_bytes(b"%PDF-1.7\n1 0 obj << /OpenAction << /S /JavaScript /JS (app.alert(1)) >> >> endobj\n")
+    action = b"<< /OpenAction << /S /JavaScript /JS (app.alert(1)) >> >>"
+    (folder / "paper.pdf").write_bytes(b"%PDF-1.7\n1 0 obj " + action + b" endobj\n")
     (folder / "cut.mp4").write_bytes(b"\0\0\0\x20ftypisom" + bytes(5000))
 
 
@@ -47,7 +54,8 @@ def _make_texts(folder: Path) -> None:
     (folder / "notes.md").write_text("# Ride\n\n- **fine** <b>weather</b>\n")
     (folder / "config.yaml").write_text("camera:\n  rate_hz: 30\n  name: front\n")
     (folder / "state.json").write_text(json.dumps(STATE))
-    (folder / "latin.log").write_bytes("Fahrt nach Zürich, Straße gesperrt\n".encode("latin-1") + b"bell \x07 \xe2\x80\xaeevil\n")
+    latin = "Fahrt nach Zürich, Straße gesperrt\n".encode("latin-1")
+    (folder / "latin.log").write_bytes(latin + b"bell \x07 \xe2\x80\xaeevil\n")
     (folder / "noise.txt").write_bytes(np.random.default_rng(1).integers(0, 256, 20_000, np.uint8).tobytes())
     (folder / "one-line.txt").write_text("x" * 1_000_000)
     (folder / "drawing.svg").write_text(SVG)
@@ -79,7 +87,8 @@ def _make_pictures(folder: Path) -> None:
         picture().save(folder / f"photo.{ending}")
     header = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 60_000, 60_000, 8, 6, 0, 0, 0)
     (folder / "bomb.png").write_bytes(header + bytes(4000))
-    (folder / "broken.png").write_bytes(struct.pack(">8sI4sII", b"\x89PNG\r\n\x1a\n", 13, b"IHDR", 64, 64) + b"\xff" * 2000)
+    start = struct.pack(">8sI4sII", b"\x89PNG\r\n\x1a\n", 13, b"IHDR", 64, 64)
+    (folder / "broken.png").write_bytes(start + b"\xff" * 2000)
 
 
 def frame_colour(number: int) -> tuple[int, int, int]:

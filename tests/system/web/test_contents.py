@@ -1,9 +1,8 @@
-"""Files that are not recordings in a real browser: what is shown is what the bytes say, and nothing of them is executed."""
+"""Files that are not recordings in a real browser: they are shown as their bytes say, and nothing is executed."""
 
 import csv
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
@@ -29,7 +28,7 @@ _MAX_TASK_MS = 1500
 @pytest.fixture(scope="module")
 def shown(
     shared_cluster: Cluster, recordings_dir: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[tuple[Path, dict[str, str]]]:
+) -> tuple[Path, dict[str, str]]:
     """Upload all files; return their folder, and their ids by name."""
     folder = tmp_path_factory.mktemp("files")
     world.make_files(folder)
@@ -44,7 +43,7 @@ def shown(
         return items
 
     wait_until(lambda: all(file["content"] != "pending" for file in files()), "the files to be read")
-    yield folder, {file["path"]: file["id"] for file in files()}
+    return folder, {file["path"]: file["id"] for file in files()}
 
 
 @pytest.mark.slow
@@ -94,8 +93,10 @@ def _assert_table(results: dict[str, Any], text: str) -> None:
     assert results["rowCount"] == len(rows) == world.TABLE_ROWS
     assert [cells[1:] for cells in results["cells"]] == rows[:200]
     sines = [float(row[head.index("sine")]) for row in rows]
-    assert results["curves"] == results["curvesAgain"] == (
-        f"Curves of table.csv: sine from {min(sines):.6g} to {max(sines):.6g}"
+    assert (
+        results["curves"]
+        == results["curvesAgain"]
+        == (f"Curves of table.csv: sine from {min(sines):.6g} to {max(sines):.6g}")
     )
     assert "show=curves" in results["address"]
     assert results["asText"] == text[:100]

@@ -31,6 +31,7 @@ describe("the viewer of a file", () => {
     expect(viewerNames("a.html", "<!doctype html><script>alert(1)</script>")).toEqual(["text", "bytes"]);
     expect(viewerNames("photo.png", "<svg onload=alert(1)>")).toEqual(["text", "bytes"]);
     expect(viewerNames("a.csv", "a,b\n1,2\n")).toEqual(["table", "text", "bytes"]);
+    expect(viewerNames("a.log", "a, b\nc, d\n", "csv")).toEqual(["text", "table", "bytes"]);
     expect(viewerNames("poses.txt", "1 2 3 4 5 6 7 8\n", "tum")).toEqual(["table", "text", "bytes"]);
     expect(viewerNames("a.yaml", "a: 1\n", "yaml")).toEqual(["text", "bytes"]);
     expect(viewerNames("a.txt", [0, 1, 2, 3])).toEqual(["bytes"]);
