@@ -2,6 +2,7 @@
 import { onMounted, ref, shallowRef, type Ref } from "vue";
 import { previewAddress } from "./useRanges";
 import { failureOf, type ReadFailure } from "@/recordings/failures";
+import type { Address } from "@/recordings/ranges";
 
 /** An address that failed sooner was not refused because it expired. */
 const RENEW_BEFORE_MS = 30_000;
@@ -15,7 +16,8 @@ export interface Media {
   readonly onError: (event: Event) => void;
 }
 
-export function useMedia(fileId: string): Media {
+/** `request` returns an address of a file. */
+export function useMedia(fileId: string, request: (fileId: string) => Promise<Address> = previewAddress): Media {
   const address = shallowRef<string>();
   const failure = shallowRef<ReadFailure | null>(null);
   const isUnplayable = ref(false);
@@ -24,7 +26,7 @@ export function useMedia(fileId: string): Media {
   async function load(): Promise<void> {
     failure.value = null;
     try {
-      const renewed = await previewAddress(fileId);
+      const renewed = await request(fileId);
       expiresAtMs = renewed.expiresAtMs;
       address.value = renewed.url;
     } catch (thrown) {
