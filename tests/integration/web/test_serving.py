@@ -90,6 +90,8 @@ def test_the_content_security_policy_allows_own_scripts_and_the_store(api: Api) 
         assert directives["script-src"] == "'self' 'wasm-unsafe-eval'"
         assert directives["style-src"] == directives["worker-src"] == "'self'"
         assert directives["connect-src"] == f"'self' {settings.store_origin}"
+        assert directives["media-src"] == settings.store_origin
+        assert directives.keys().isdisjoint({"frame-src", "object-src"}), "files of others are never framed"
         assert directives["frame-ancestors"] == "'none'"
     html = _get(api, "/").data.decode()
     assert not re.search(r"<script(?![^>]*\ssrc=)|<style|\sstyle=|\son\w+=", html), "nothing inline"

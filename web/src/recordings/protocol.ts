@@ -7,7 +7,7 @@ import type { Address } from "./ranges";
 import type { SliceRequest, SliceResult } from "./slices/slice";
 
 /** Formats that the preview reads, by their names in the API. */
-export const READABLE_FORMATS = ["mcap", "rosbag1", "db3"] as const;
+export const READABLE_FORMATS = ["mcap", "rosbag1", "db3", "ulog"] as const;
 export type ReadableFormat = (typeof READABLE_FORMATS)[number];
 
 /** The recording to open. */

@@ -21,7 +21,7 @@ export const texts = {
   lost: "Missing data",
   lostAmount: (bytes: number, chunks: number, messages: number | null) =>
     [formatSize(bytes), counted(chunks, "chunk"), messages === null ? "an unknown number of messages" : counted(messages, "message")].join(", "),
-  formats: { mcap: "MCAP", rosbag1: "ROS 1 bag", db3: "rosbag2 database (db3)" } as Readonly<Record<string, string>>,
+  formats: { mcap: "MCAP", rosbag1: "ROS 1 bag", db3: "rosbag2 database (db3)", ulog: "flight log (ULog)" } as Readonly<Record<string, string>>,
   unknownFormat: "unknown",
 
   checksums: "Checksums",

@@ -74,16 +74,18 @@ export const worthAnotherTry: ReadonlySet<FailureCode> = new Set<FailureCode>([
 
 /** Why files of a format have no preview; null for formats that have one. */
 export function whyNoPreview(format: string | null): string | null {
-  if (format === "mcap" || format === "rosbag1" || format === "db3") return null;
-  return "Previews are available for MCAP files, ROS 1 bags and rosbag2 databases. Download the file to open it.";
+  if (format === "mcap" || format === "rosbag1" || format === "db3" || format === "ulog") return null;
+  return "Previews are available for MCAP files, ROS 1 bags, rosbag2 databases and flight logs (ULog). Download the file to open it.";
 }
 
 export const texts = {
   title: "Preview",
   topic: "Topic",
   noTopics: "This recording has no messages.",
-  noIndex: (until: number, size: number) =>
-    until < 0.9 * size
+  noIndex: (until: number, size: number, isFlightLog: boolean) =>
+    isFlightLog
+      ? `A flight log has no index and is read from its beginning. The preview shows ${formatSize(until)} of ${formatSize(size)}.`
+      : until < 0.9 * size
       ? `This recording was not closed and has no index. The preview shows its beginning: ${formatSize(until)} of ${formatSize(size)}.`
       : "This recording was not closed and has no index. The preview shows all readable data.",
   read: (bytes: number, size: number) => `${formatSize(bytes)} of ${formatSize(size)} read`,

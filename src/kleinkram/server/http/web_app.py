@@ -61,7 +61,8 @@ def app_policy(settings: Settings) -> str:
     """Return the content policy of the app: its own scripts, this server, and the store at its public address."""
     return (
         "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; font-src 'self'; "
-        f"img-src 'self' blob: data:; connect-src 'self' {settings.store_origin}; worker-src 'self'; "
+        f"img-src 'self' blob: data:; media-src {settings.store_origin}; "
+        f"connect-src 'self' {settings.store_origin}; worker-src 'self'; "
         "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     )
 

@@ -6,6 +6,7 @@ import type { Schema } from "../formats/recording";
 import { MAX_DEFINITION } from "../limits";
 import { protobufDecoder } from "./protobuf";
 import { rosDecoder } from "./ros";
+import { asRos1Definition } from "./ulog_definition";
 import { wellKnownDefinitions } from "./well_known";
 
 const TEXT = new TextDecoder();
@@ -20,6 +21,7 @@ export function decoderOf(schema: Schema): Decode {
   if (messageEncoding === "json") return fromJson;
   if (messageEncoding === "protobuf" && encoding === "protobuf") return protobufDecoder(definition, schema.name);
   if (messageEncoding === "ros1" && encoding === "ros1msg") return rosDecoder(TEXT.decode(definition), 1, false);
+  if (messageEncoding === "ulog" && encoding === "ulog") return rosDecoder(asRos1Definition(schema.name, TEXT.decode(definition)), 1, false);
   if (messageEncoding === "cdr" && encoding === "ros2msg") return unpacking(rosDecoder(withService(TEXT.decode(definition), schema.name), 2, true));
   if (messageEncoding === "cdr" && encoding === "") return unpacking(wellKnownDecoder(schema.name));
   throw new ReadFailure("encoding_unknown", [messageEncoding, encoding].filter((word) => word !== "").join(", ").slice(0, 80));

@@ -7,11 +7,12 @@ import type { Source } from "../ranges";
 import { openBag } from "./bag";
 import { openDb3 } from "./db3";
 import { openMcap } from "./mcap";
+import { openUlog } from "./ulog";
 import { joined, type Recording } from "./recording";
 import { Decompress } from "fzstd";
 import { failureOf, ReadFailure } from "../failures";
 
-const OPEN: Readonly<Record<ReadableFormat, (source: Source, maxBytes: number) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag, db3: openDb3 };
+const OPEN: Readonly<Record<ReadableFormat, (source: Source, maxBytes: number) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag, db3: openDb3, ulog: openUlog };
 
 /** Open by the index; without one, by scanning up to `maxBytes` of the beginning.
  *

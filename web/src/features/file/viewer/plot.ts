@@ -47,7 +47,7 @@ const FIRST: readonly (readonly [RegExp, readonly string[]])[] = [
   [/[/.]Odometry$/, ["pose.pose.position.x", "pose.pose.position.y", "pose.pose.position.z"]],
   [/[/.]JointState$/, ["position[0]", "position[1]", "position[2]"]],
 ];
-const NOT_FIRST = /(^|\.)(header|stamp|timestamp|seq|sec|nanosec|nsec)(\.|$)|covariance/;
+const NOT_FIRST = /(^|\.)(header|stamp|timestamp\w*|seq|sec|nanosec|nsec)(\.|$)|covariance/;
 const DEFAULT_CURVES = 4;
 
 /** Returns the names of all fields of a tree. */
