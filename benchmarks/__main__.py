@@ -17,6 +17,7 @@ from benchmarks.cluster import cluster_rows
 from benchmarks.instance import DATA, GB, STAGE, endpoint_info, instance, klein, mission_with, settle
 from benchmarks.packages import package_rows
 from benchmarks.previews import preview_rows
+from benchmarks.recording_previews import recording_preview_rows
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
@@ -38,6 +39,7 @@ ROWS = {
     "checks",
     "packages",
     "previews",
+    "recording_previews",
     "starts",
     "people",
     "rights",
@@ -74,7 +76,7 @@ def main() -> None:
 
 def measured(selected: set[str]) -> Iterator[Row]:
     """Yield the selected rows when they are measured."""
-    if selected - {"recordings", "checks", "packages", "previews", "slurm"}:
+    if selected - {"recordings", "checks", "packages", "previews", "recording_previews", "slurm"}:
         with instance():
             klein("project", "create", "bench")
     if "memory" in selected:
@@ -96,6 +98,8 @@ def measured(selected: set[str]) -> Iterator[Row]:
         yield from package_rows(STAGE / "packages")
     if "previews" in selected:
         yield from preview_rows(STAGE / "previews")
+    if "recording_previews" in selected:
+        yield from recording_preview_rows(STAGE / "recording-previews")
     if "starts" in selected:
         yield from start_rows()
     if "rights" in selected:  # it leaves much behind

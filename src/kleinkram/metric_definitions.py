@@ -286,7 +286,7 @@ QUEUE_OLDEST_SECONDS = _gauge(
     MetricSource.instance,
     "Age of the oldest job that waits, or waits for another attempt; 0 if none does.",
     "queue",
-    values=("default", "verification", "examining", "grouping"),
+    values=("default", "verification", "examining", "grouping", "previews"),
 )
 WORKERS = _gauge("workers", MetricSource.instance, "Worker processes that are alive.")
 WORKER_LAST_HEARTBEAT = _gauge(

@@ -78,6 +78,7 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
         local.NoSuchEndpoint,
         local.NothingToDo,
         local.NoChecks,
+        local.PreviewMissing,
     ),
     ExitCode.not_allowed: (
         remote.NotAuthenticated,

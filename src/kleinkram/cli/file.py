@@ -10,6 +10,7 @@ from kleinkram.cli.commands import Many, Subcommands, Text, argument, flag, opti
 from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.filters import Choice, file_filter, select_files
 from kleinkram.cli.mission import show_files
+from kleinkram.cli.preview import preview
 from kleinkram.cli.render import Output, as_list, as_total, details, line, note, table
 from kleinkram.cli.transfer import upload
 from kleinkram.cli.units import count as count_of
@@ -22,6 +23,7 @@ from kleinkram.contract.problems import from_problem
 
 _DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}
 app = Subcommands("Manage the files of missions.")
+app.command("preview")(preview)
 app.command("create", help="Upload files. The same as `klein upload`.")(upload)
 
 

@@ -223,6 +223,13 @@ class ReadingMissing(ClientError):
     what: str
 
 
+class PreviewMissing(ClientError):
+    """There is no preview of {path}: {reason}."""
+
+    path: str
+    reason: str
+
+
 class TimedOut(ClientError):
     """{what} was not finished after {seconds:g} s. The server continues; check again later."""
 

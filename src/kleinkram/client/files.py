@@ -23,7 +23,7 @@ from kleinkram.client._resources import (
     pages,
     resolve_one,
 )
-from kleinkram.client.errors import InvalidInput
+from kleinkram.client.errors import InvalidInput, PreviewMissing, ReadingMissing
 from kleinkram.client.missions import Missions
 from kleinkram.client.search import Condition, FileFields, as_filter
 from kleinkram.contract import uploads as protocol
@@ -41,15 +41,18 @@ from kleinkram.contract.files import (
 )
 from kleinkram.contract.names import is_id
 from kleinkram.contract.projects import Deleted
+from kleinkram.contract.recording_previews import RecordingPreviewRead, RecordingPreviewState
 from kleinkram.contract.runs import LineageRead
 from kleinkram.contract.search import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange, TopicFound
 
 if TYPE_CHECKING:
     from kleinkram.recordings import Recording
     from kleinkram.recordings.http_source import HttpSource
+    from kleinkram.recordings.previews import RecordingPreview
 
 _METADATA = "metadata.yaml"
 _MAX_LINKS = 500
+_MAX_PREVIEW_BYTES = 20 * 10**6
 
 
 class Files(NamedResource[FileRead]):
@@ -154,10 +157,61 @@ class Files(NamedResource[FileRead]):
         """
         return self._api.repeat(f"/files/{self.id_of(file_id)}/verify", FileRead)
 
+    def preview(self, file_id: Ref) -> "RecordingPreview":
+        """Return what the preview of a recording shows: series, thumbnails, tracks, log lines and clouds.
+
+        Reads at most 20 MB, whatever the size of the recording.
+
+        Raises:
+            PreviewMissing: there is none (yet); the sentence says why.
+            PreviewUnreadable: it was made by a later server, or is damaged.
+            ReadingExtraMissing: numpy is not installed.
+            SourceError: the store does not give the bytes.
+        """
+        from kleinkram.recordings.http_source import HttpSource  # slow to import
+
+        try:
+            from kleinkram.recordings.previews import read_preview
+        except ImportError as error:
+            raise ReadingMissing(what=error.name or "numpy") from None
+        read = self.preview_state(file_id)
+        if read.url is None or read.size_bytes is None:
+            raise PreviewMissing(path=str(read.file_id), reason=_why_no_preview(read))
+        if read.size_bytes > _MAX_PREVIEW_BYTES:
+            raise PreviewMissing(path=str(read.file_id), reason=f"it claims to have {read.size_bytes} bytes")
+        source = HttpSource(
+            read.url, size_bytes=read.size_bytes, name="the preview", connections=self._api.store_connections
+        )
+        return read_preview(source.read(0, read.size_bytes))
+
+    def preview_state(self, file_id: Ref) -> RecordingPreviewRead:
+        """Return whether the server has a preview of a recording, and its URL."""
+        return self._api.get(f"/files/{self.id_of(file_id)}/preview", RecordingPreviewRead)
+
+    def make_preview(self, file_id: Ref) -> RecordingPreviewRead:
+        """Have the server make the preview of a recording again; this takes DELETE on its mission."""
+        return self._api.repeat(f"/files/{self.id_of(file_id)}/preview", RecordingPreviewRead)
+
+    def delete_preview(self, file_id: Ref) -> RecordingPreviewRead:
+        """Delete the preview of a recording; the server makes it again on request only."""
+        path = f"/files/{self.id_of(file_id)}/preview"
+        return self._api.parse_response(RecordingPreviewRead, f"DELETE {path}", self._api.delete(path))
+
     def links(self, file_ids: Sequence[Ref]) -> DownloadLinks:
         """Return where to read the bytes of up to 500 files, in the order asked; FileUnavailable for a damaged one."""
         body = checked(DownloadRequest, "The files", file_ids=[self.id_of(file_id) for file_id in file_ids])
         return self._api.repeat("/files/download", DownloadLinks, body)
+
+
+_PREVIEW_REASONS = {
+    RecordingPreviewState.none: "the server has made none; it makes none of small files, and of what is no recording",
+    RecordingPreviewState.making: "the server is about to make it",
+    RecordingPreviewState.deleted: "it was deleted; `make_preview` makes it again",
+}
+
+
+def _why_no_preview(read: RecordingPreviewRead) -> str:
+    return _PREVIEW_REASONS.get(read.state) or f"the server could not make it: {read.reason or 'the reason is unknown'}"
 
 
 def file_label(file: FileRead) -> str:

@@ -2,8 +2,8 @@
 
 `summarise_isolated` waits for it. A server that must not wait starts `CHILD_COMMAND` with `CHILD_ENVIRONMENT` itself,
 writes `request_bytes(...)` and a newline to its stdin, and passes the line that comes back to `read_answer` (for a
-`MetadataRequest` to `read_metadata_answer`); then the child takes the next request. If the child ends instead, its exit
-code and stderr are the answer.
+`MetadataRequest` to `read_metadata_answer`, for a `PreviewRequest` to `read_preview_answer`); then the child takes the
+next request. If the child ends instead, its exit code and stderr are the answer.
 
 The child is this module run as a program: a line of JSON on stdin for each request, a line on stdout, nothing else.
 Behind the line of a `StreamRequest` follow its bytes; all of them are taken before the answer. The child bounds itself
@@ -12,6 +12,7 @@ before it looks at a byte: address space, processor time, no core file.
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import resource
@@ -25,7 +26,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, TypeVar
 
 from kleinkram.recordings import model
-from kleinkram.recordings.errors import FailureKind, SourceError, SummaryFailed
+from kleinkram.recordings.decoding.types import ReadingExtraMissing
+from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
 from kleinkram.recordings.formats.rosbag2 import metadata as rosbag2
 from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
 from kleinkram.recordings.limits import MAX_SCAN_BYTES, WINDOW
@@ -35,8 +37,8 @@ from kleinkram.recordings.sources import FileSource, PipeReader, Source, SourceR
 CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.isolation")
 """`-I`: the child takes no module from the working directory, and nothing from the environment."""
 
-CHILD_ENVIRONMENT: dict[str, str] = {"LC_ALL": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
-"""One malloc arena: each thread's own would reserve 64 MB of the address space that the child may use."""
+CHILD_ENVIRONMENT: dict[str, str] = {"LC_ALL": "C.UTF-8", "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1"}
+"""One malloc arena, and one thread of numpy: each thread's own would reserve 64 MB of the address space."""
 
 DEFAULT_MEMORY_BYTES = 512 * 2**20
 DEFAULT_TIMEOUT_S = 120
@@ -86,11 +88,20 @@ class MetadataRequest:
     metadata: str
 
 
+@dataclass(frozen=True)
+class PreviewRequest:
+    """Make the preview of the recording behind a URL that answers ranges. `name` is the file's own."""
+
+    preview_url: str
+    size_bytes: int
+    name: str
+
+
 SummaryRequest = FileRequest | UrlRequest
 
 
 def request_bytes(
-    request: SummaryRequest | StreamRequest | MetadataRequest,
+    request: SummaryRequest | StreamRequest | MetadataRequest | PreviewRequest,
     *,
     depth: Depth = Depth.summary,
     max_bytes: int = MAX_SCAN_BYTES,
@@ -113,6 +124,11 @@ def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSumma
 def read_metadata_answer(stdout: bytes, stderr: bytes, returncode: int) -> Rosbag2Metadata | None:
     """Return the metadata in the child's answer; `SummaryFailed` if it has none."""
     return _read_answer("metadata", lambda plain: plain and metadata_from_dict(plain), stdout, stderr, returncode)
+
+
+def read_preview_answer(stdout: bytes, stderr: bytes, returncode: int) -> bytes:
+    """Return the file of the preview in the child's answer; `SummaryFailed` if it has none. It is not parsed."""
+    return _read_answer("preview", base64.b64decode, stdout, stderr, returncode)
 
 
 def _read_answer(key: str, parse: Callable[[Any], T], stdout: bytes, stderr: bytes, returncode: int) -> T:
@@ -237,9 +253,13 @@ def _answer(request: dict[str, Any]) -> dict[str, object]:
         if "metadata" in request:
             metadata = rosbag2.parse_rosbag2_metadata(request["metadata"])
             return {"metadata": metadata and asdict(metadata)}
+        if "preview_url" in request:
+            return {"preview": base64.b64encode(_make_preview(request)).decode()}
         return {"summary": to_dict(_summarise(request))}
     except SourceError as error:
         return {"failed": "source", "message": str(error)}
+    except RecordingError as error:  # a preview, of what cannot be opened
+        return {"failed": "crash", "message": str(error)}
     except MemoryError:
         return {"failed": "memory"}
 
@@ -270,6 +290,20 @@ def _summarise(request: dict[str, Any]) -> RecordingSummary:
     if request["depth"] == Depth.scan.value:
         return scan(SourceReader(source))
     return summarise(source, max_bytes=request["max_bytes"])
+
+
+def _make_preview(request: dict[str, Any]) -> bytes:
+    from kleinkram.recordings.http_source import HttpSource  # only in the child
+    from kleinkram.recordings.recording import Recording
+
+    try:
+        from kleinkram.recordings.previews import make_preview
+    except ImportError as error:
+        raise ReadingExtraMissing(error.name or "numpy") from None
+
+    source = HttpSource(request["preview_url"], size_bytes=request["size_bytes"], name=request["name"])
+    with Recording.open(source, max_bytes=request["max_bytes"]) as recording:
+        return make_preview(recording)
 
 
 if __name__ == "__main__":

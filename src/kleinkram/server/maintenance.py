@@ -5,7 +5,7 @@ from sqlalchemy import delete, func, or_, select, text
 
 from kleinkram.server.audit.retention import expire_events
 from kleinkram.server.auth.one_time_codes import delete_expired_codes
-from kleinkram.server.blobs import garbage_collection, scrub, service
+from kleinkram.server.blobs import garbage_collection, recording_previews, scrub, service
 from kleinkram.server.checks.jobs import judge_forgotten
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.rate_limit import delete_expired_counts
@@ -22,6 +22,7 @@ from kleinkram.server.uploads.jobs import delete_cleaned_uploads
 _BATCH = 1000
 _LOG_CHUNKS = 500
 _MAX_REVERIFIED = 500
+_MAX_PREVIEWS = 200
 
 
 @queue.periodic(cron="* * * * *")
@@ -80,6 +81,8 @@ async def collect_garbage(context: AppContext) -> None:
         days = settings.reverify_days
         await service.verify_old(db, store_id=store_id, older_than_days=days, limit=_MAX_REVERIFIED)
         await scrub.begin_due_scrub(db, settings)
+        if settings.recording_previews:
+            await recording_previews.enqueue_missing(db, store_id=store_id, limit=_MAX_PREVIEWS)
     async with context.database.begin() as db:
         await requeue_unknown_jobs(db)
         await delete_failed_jobs(db)
@@ -96,8 +99,14 @@ async def collect_garbage(context: AppContext) -> None:
         objects = await garbage_collection.objects_to_delete(
             db, store_id=store_id, grace_s=settings.garbage_grace_s, limit=_BATCH
         )
+        preview_keys = await recording_previews.keys_to_delete(db, store_id=store_id, limit=_BATCH)
+    for key in preview_keys:
+        await context.storage.delete(key)
+        async with context.database.begin() as db:
+            await recording_previews.record_deleted_object(db, key)
     for row in objects:
-        await context.storage.delete(row.key)
+        for key in filter(None, (row.preview_key, row.key)):
+            await context.storage.delete(key)
         async with context.database.begin() as db:
             await garbage_collection.delete_row(db, row.id)
 

@@ -506,6 +506,10 @@ class Settings(BaseSettings):
         description="Address space of the child process that reads recordings.",
     )
     summary_timeout_s: Seconds = Field(default=300, description="Maximum seconds for the summary of one recording.")
+    recording_previews: bool = Field(
+        default=True,
+        description="Whether the worker makes previews of recordings above 100 kB. If off, only on request.",
+    )
 
     @field_validator("audit_days")
     @classmethod

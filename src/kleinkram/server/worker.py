@@ -25,6 +25,7 @@ from kleinkram.server.admin import jobs as _admin_jobs
 from kleinkram.server.auth import jobs as _auth_jobs
 from kleinkram.server.background import cancel_and_wait
 from kleinkram.server.blobs import jobs as _blob_jobs
+from kleinkram.server.blobs import preview_jobs as _preview_jobs
 from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.checks import jobs as _check_jobs
 from kleinkram.server.context import AppContext
@@ -33,7 +34,7 @@ from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.readiness import heartbeat
 from kleinkram.server.jobs.execution import Attempts, BackPressure, record_failure
 from kleinkram.server.jobs.origin import run_with_origin
-from kleinkram.server.jobs.queue import DEFAULT, DERIVATION, SMALL_BLOBS, VERIFICATION, queue
+from kleinkram.server.jobs.queue import DEFAULT, DERIVATION, PREVIEWS, SMALL_BLOBS, VERIFICATION, queue
 from kleinkram.server.overviews import jobs as _derivation_jobs
 from kleinkram.server.overviews.jobs import DerivationDebounce, MetadataCache
 from kleinkram.server.people import jobs as _people_jobs
@@ -57,6 +58,7 @@ _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
 JOB_MODULES = (
     _admin_jobs,
     _blob_jobs,
+    _preview_jobs,
     _maintenance,
     _run_jobs,
     _derivation_jobs,
@@ -151,7 +153,7 @@ async def _run_queues(app: App, settings: Settings, database: Database, stopping
             "derivation_debounce": DerivationDebounce(),
             "attempts": attempts,
         }
-        queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (SMALL_BLOBS, 1), (DERIVATION, 1))
+        queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (SMALL_BLOBS, 1), (DERIVATION, 1), (PREVIEWS, 1))
         notify_ready("working")
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         queue_workers = [_QueueWorker(app, resources, name, at_once) for name, at_once in queues]

@@ -170,6 +170,12 @@ OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
         Caller(get("/files/{file}/slice.mcap", start="never"), Target.file, accepted_code="invalid_request"),
     ),
     "list_file_topics": (Caller(get("/files/{file}/topics"), Target.file),),
+    "get_recording_preview": (Caller(get("/files/{file}/preview"), Target.file),),
+    "make_recording_preview": (
+        # Refused for the content of the file, after the rights.
+        Caller(post("/files/{file}/preview"), Target.file, accepted_code="invalid_request"),
+    ),
+    "delete_recording_preview": (Caller(delete("/files/{file}/preview"), Target.file),),
     "verify_file": (Caller(post("/files/{file}/verify"), Target.file),),
     "update_file": (Caller(patch("/files/{file}", lambda _: {"labels": []}), Target.file),),
     "move_file": (

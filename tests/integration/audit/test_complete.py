@@ -33,6 +33,8 @@ WRITES: dict[str, set[str]] = {
     "delete_check_note": {"mission.delete_check_note"},
     "download_files": {"file.download", "[file.preview]"},
     "verify_file": {"file.verify"},
+    "make_recording_preview": {"[file.make_preview]"},
+    "delete_recording_preview": {"file.delete_preview"},
     "update_file": {"[file.update]"},
     "label_files": {"file.update"},
     "move_file": {"file.move_out", "file.move_in"},

@@ -810,6 +810,34 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/files/{file_id}/preview": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Recording Preview
+         * @description Return the preview of a recording, with a URL from which to read it; the audit log records who requests it.
+         */
+        get: operations["get_recording_preview"];
+        put?: never;
+        /**
+         * Make Recording Preview
+         * @description Make the preview of a recording again soon, also if it was deleted, or if the recording is small.
+         */
+        post: operations["make_recording_preview"];
+        /**
+         * Delete Recording Preview
+         * @description Delete the preview of a recording, which all files with the same bytes share.
+         */
+        delete: operations["delete_recording_preview"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/files/{file_id}/slice.mcap": {
         parameters: {
             query?: never;
@@ -7172,6 +7200,39 @@ export interface components {
             size_bytes: number;
         };
         /**
+         * RecordingPreviewRead
+         * @description The preview of a recording file, whose format the page on formats describes.
+         *
+         *     `url` is there if `state` is `ready`: GET the bytes from it before `expires_at`, with or without a Range header.
+         *     `reason` says why it failed. Files with the same bytes share one preview.
+         */
+        RecordingPreviewRead: {
+            /** Expires At */
+            expires_at?: string | null;
+            /**
+             * File Id
+             * Format: uuid
+             */
+            file_id: string;
+            /** Made At */
+            made_at?: string | null;
+            /** Reason */
+            reason?: string | null;
+            /** Size Bytes */
+            size_bytes?: number | null;
+            state: components["schemas"]["RecordingPreviewState"];
+            /** Url */
+            url?: string | null;
+            /** Version */
+            version?: number | null;
+        };
+        /**
+         * RecordingPreviewState
+         * @description State of the preview of a file.
+         * @enum {string}
+         */
+        RecordingPreviewState: "none" | "making" | "ready" | "failed" | "deleted";
+        /**
          * RecordingRead
          * @description A recording of one or more files. `missing` are files that its metadata lists and the mission does not have.
          *
@@ -10510,6 +10571,99 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["LineageRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_recording_preview: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                file_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RecordingPreviewRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    make_recording_preview: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                file_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RecordingPreviewRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    delete_recording_preview: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                file_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RecordingPreviewRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

@@ -22,6 +22,8 @@ const operations: Readonly<Record<string, string>> = {
   "file.preview": "viewed",
   "file.repair": "repaired",
   "file.verify": "requested verification of",
+  "file.make_preview": "requested a preview of",
+  "file.delete_preview": "deleted the preview of",
   "file.create": "created in a run",
   "file.purge": "permanently deleted",
   "file.restore": "restored",
@@ -176,6 +178,7 @@ const reads: Readonly<Record<string, string>> = {
   list_uploads: "the uploads to a mission",
   search: "the results of a search over everything",
   slice_file: "a slice of a file",
+  get_recording_preview: "the preview of a recording",
 };
 
 export const texts = {

@@ -60,7 +60,7 @@ def decode_image(data: Any, name: str, max_pixels: int) -> NDArray[Any]:
     """Return a compressed image as [H, W, C]: uint8, or uint16 [H, W, 1] for 16 bits of grey."""
     import numpy as np
 
-    with _opened_image(data, name, max_pixels) as opened:
+    with opened_image(data, name, max_pixels) as opened:
         picture = opened
         if picture.mode == "1":
             picture = picture.convert("L")
@@ -90,13 +90,13 @@ def compressed_image(value: object) -> tuple[memoryview, str, tuple[int, int]] |
     for signature, suffix in _SIGNATURES.items():
         if data[: len(signature)] == signature:
             _require("PIL", "pillow")
-            with _opened_image(data, type_name(value), MAX_IMAGE_PIXELS) as opened:
+            with opened_image(data, type_name(value), MAX_IMAGE_PIXELS) as opened:
                 return data, suffix, opened.size
     return None
 
 
 @contextmanager
-def _opened_image(data: Any, name: str, max_pixels: int) -> Iterator[Image.Image]:
+def opened_image(data: Any, name: str, max_pixels: int) -> Iterator[Image.Image]:
     """Yield a compressed image whose size is bounded; what fails in the block becomes a `DecodeError`, too."""
     from PIL import Image
 

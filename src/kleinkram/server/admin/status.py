@@ -28,7 +28,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.health.instance_metrics import BackupAttempt, last_backups
 from kleinkram.server.health.readiness import ALIVE_WITHIN
 from kleinkram.server.home.service import server_attention, store_use
-from kleinkram.server.jobs.queue import queue_ages_s
+from kleinkram.server.jobs.queue import PREVIEWS, queue_ages_s
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import token, worker_process
 
@@ -135,7 +135,8 @@ async def _database_items(db: Connection, settings: Settings) -> list[StatusItem
         for row in await scrub.blobs_by_state(db)
         if row.state in {BlobState.lost.value, BlobState.corrupt.value}
     ]
-    age_s = max((await queue_ages_s(db)).values(), default=0.0)
+    ages_s = await queue_ages_s(db)
+    age_s = max((age_s for name, age_s in ages_s.items() if name != PREVIEWS), default=0.0)
     if age_s > _QUEUE_LATE_S:
         message = f"The oldest job has been waiting for {age_s / _MINUTE_S:.0f} min."
         items.append(_warning("jobs", message, "`klein admin jobs` shows the queue; start another worker."))

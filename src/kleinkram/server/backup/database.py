@@ -297,6 +297,8 @@ def _adjust_rows(
     for table in ("blob", "upload", "log_chunk"):
         _run(database, f"UPDATE {table} SET store_id = %s WHERE store_id = %s AND store_id <> %s", to, was, to)  # noqa: S608  (constants)
     database.execute("DELETE FROM store_probe")
+    # Their objects are in no backup: the worker makes previews again.
+    database.execute("DELETE FROM recording_preview")
     # The parts of active uploads are in the old store: clients start these again, and their names are free.
     database.execute(
         "UPDATE upload SET state = 'expired', completing_since = NULL WHERE state IN ('open', 'completing')"

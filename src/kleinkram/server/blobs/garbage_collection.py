@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, delete, func, select, text, true, update
 
 from kleinkram.server.blobs import queries
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import blob
+from kleinkram.server.tables import blob, recording_preview
 
 DELETION_LOCK = 0x6B6C_6261_636B
 """The advisory lock that pauses deletion; no other code locks this number in this database."""
@@ -30,10 +30,11 @@ _MAX_AT_ONCE, _SHARES, _ROUND_S = 50_000, 23, 600
 
 
 class ObjectToDelete(NamedTuple):
-    """A marked blob and the key of its object."""
+    """A marked blob, the key of its object, and that of the preview of the recording, if it has one."""
 
     id: uuid.UUID
     key: str
+    preview_key: str | None
 
 
 async def is_deletion_paused(db: Connection) -> bool:
@@ -82,7 +83,13 @@ async def objects_to_delete(db: Connection, *, store_id: str, grace_s: float, li
     before = func.now() - datetime.timedelta(seconds=grace_s)
     # Checked once more although nothing can link to a marked blob: deletion cannot be undone.
     is_due = (blob.c.store_id == store_id) & (blob.c.marked_for_deletion_at < before) & ~queries.is_referenced()
-    statement = select(blob.c.id, blob.c.key).where(is_due).order_by(blob.c.marked_for_deletion_at).limit(limit)
+    statement = (
+        select(blob.c.id, blob.c.key, recording_preview.c.key)
+        .outerjoin(recording_preview, recording_preview.c.blob_id == blob.c.id)
+        .where(is_due)
+        .order_by(blob.c.marked_for_deletion_at)
+        .limit(limit)
+    )
     return [ObjectToDelete._make(row) for row in await db.execute(statement)]
 
 

@@ -18,7 +18,7 @@ from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.contract.names import file_name
 from kleinkram.recordings import Content, FailureKind, RecordingSummary, SummaryFailed
 from kleinkram.recordings.isolation import StreamRequest, UrlRequest, request_bytes
-from kleinkram.server.blobs import scrub, service
+from kleinkram.server.blobs import recording_previews, scrub, service
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
 from kleinkram.server.blobs.readers import ObjectChecksums, ReaderProcesses, Unreadable, read_through
 from kleinkram.server.context import AppContext
@@ -86,6 +86,8 @@ async def _record_summary(context: AppContext, blob_id: uuid.UUID, summary: Reco
     try:
         async with context.database.begin() as db:
             await service.record_summaries(db, {blob_id: summary})
+            if context.settings.recording_previews:
+                await recording_previews.enqueue_new(db, blob_id)
     except (DataError, IntegrityError) as error:  # untrusted values may fit no column
         _log.error("summary not recorded", extra={"fields": {"blob_id": str(blob_id), "reason": str(error.orig)}})
         async with context.database.begin() as db:

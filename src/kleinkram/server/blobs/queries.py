@@ -9,7 +9,7 @@ from sqlalchemy import ARRAY, ColumnElement, Select, Text, exists, func, literal
 
 from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.server.db import among
-from kleinkram.server.tables import blob, file, log_chunk, run, run_artifact, run_input, upload
+from kleinkram.server.tables import blob, file, log_chunk, recording_preview, run, run_artifact, run_input, upload
 from kleinkram.server.tables.runs import ACTIVE
 
 SMALL_BYTES = 100_000
@@ -159,5 +159,8 @@ def unknown_among(store_id: str, keys: Collection[str]) -> Select[Any]:
     """Select how many of these keys no row of the database has."""
     # A name that no column has: in the subqueries, `key` would be the column of their table.
     key = func.unnest(literal([*keys], ARRAY(Text))).column_valued("listed_key")
-    ours = [exists().where(table.c.store_id == store_id, table.c.key == key) for table in (blob, upload, log_chunk)]
+    ours = [
+        exists().where(table.c.store_id == store_id, table.c.key == key)
+        for table in (blob, upload, log_chunk, recording_preview)
+    ]
     return select(func.count(key)).where(~or_(*ours))

@@ -29,6 +29,7 @@ from kleinkram.recordings.isolation import (
     CHILD_ENVIRONMENT,
     read_answer,
     read_metadata_answer,
+    read_preview_answer,
     timed_out,
 )
 from kleinkram.server.blobs.queries import BlobRow
@@ -260,6 +261,14 @@ class ReaderProcesses:
             SummaryFailed: the child ran out of memory or time, or crashed.
         """
         return await self._ask(request, read_metadata_answer, owner, timeout_s)
+
+    async def preview(self, request: bytes, *, owner: uuid.UUID, timeout_s: float) -> bytes:
+        """Make the preview of one recording of `owner`; its bytes are not checked.
+
+        Raises:
+            SummaryFailed: the child ran out of memory or time, crashed, or could not open the recording.
+        """
+        return await self._ask(request, read_preview_answer, owner, timeout_s)
 
     async def _ask(self, request: bytes, parse: _ParseAnswer[T], owner: uuid.UUID, timeout_s: float) -> T:
         reader = await self._take_idle(owner) or await _start(owner)

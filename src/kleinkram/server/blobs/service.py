@@ -226,7 +226,7 @@ async def record_verified(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> No
     await db.execute(update(blob).where(blob.c.id == rows.c.id).values(**values, verified_at=func.now()))
     for blob_id, before in repaired.items():
         await _audit_files(db, blob_id, "file.recover", {"state": before}, {"state": BlobState.verified.value})
-    await _publish_file_changes(db, md5s)
+    await publish_file_changes(db, md5s)
 
 
 async def record_small_blobs(
@@ -249,7 +249,7 @@ async def record_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState,
     if (await db.execute(mark)).rowcount == 0 or before == state.value:
         return False
     await _audit_files(db, blob_id, "file.damage", {}, {"state": state.value, "reason": reason})
-    await _publish_file_changes(db, [blob_id])
+    await publish_file_changes(db, [blob_id])
     return True
 
 
@@ -285,10 +285,10 @@ async def _derive_missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> 
     """Queue the recordings of these blobs' missions to be derived again, and publish that their files changed."""
     for mission_id in await _missions_of(db, blob_ids):
         await derive_again(db, mission_id)
-    await _publish_file_changes(db, blob_ids)
+    await publish_file_changes(db, blob_ids)
 
 
-async def _publish_file_changes(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
+async def publish_file_changes(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
     """Publish that the files of these blobs changed."""
     files = select(file.c.id, file.c.mission_id).where(among(file.c.blob_id, blob_ids), file.c.deleted_at.is_(None))
     rows = await db.execute(files)

@@ -18,8 +18,9 @@ from kleinkram.contract.files import (
 )
 from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import combined_filter
+from kleinkram.contract.recording_previews import RecordingPreviewRead
 from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
-from kleinkram.server.files import service
+from kleinkram.server.files import recording_previews, service
 from kleinkram.server.files.slices import SliceSelection, open_slice
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.http.errors import FAILURE_RESPONSES
@@ -118,3 +119,23 @@ async def slice_file(
 async def verify_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> FileRead:
     """Verify the stored bytes again: the server reads all of them; `state` and `verified_at` change when it has."""
     return await service.verify_file(db, actor, file_id=file_id)
+
+
+@router.get("/files/{file_id}/preview", operation_id="get_recording_preview")
+async def get_recording_preview(
+    file_id: uuid.UUID, context: CurrentContext, actor: CurrentActor
+) -> RecordingPreviewRead:
+    """Return the preview of a recording, with a URL from which to read it; the audit log records who requests it."""
+    return await recording_previews.get_preview(context, actor, file_id=file_id)
+
+
+@router.post("/files/{file_id}/preview", operation_id="make_recording_preview", status_code=202)
+async def make_recording_preview(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RecordingPreviewRead:
+    """Make the preview of a recording again soon, also if it was deleted, or if the recording is small."""
+    return await recording_previews.make_preview_again(db, actor, file_id=file_id)
+
+
+@router.delete("/files/{file_id}/preview", operation_id="delete_recording_preview")
+async def delete_recording_preview(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RecordingPreviewRead:
+    """Delete the preview of a recording, which all files with the same bytes share."""
+    return await recording_previews.delete_preview(db, actor, file_id=file_id)

@@ -68,6 +68,11 @@ async def get_file(db: Connection, actor: Actor, file_id: uuid.UUID) -> FileRead
     return (await read_files(db, actor, [file_id]))[0]
 
 
+async def stored_file(db: Connection, actor: Actor, file_id: uuid.UUID) -> FileWithBlob:
+    """Return one file with its blob. Raises NotFound."""
+    return (await _stored_files(db, actor, [file_id]))[0]
+
+
 async def _stored_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[FileWithBlob]:
     rows = (await db.execute(queries.files_by_id(actor, file_ids))).all()
     stored = queries.to_stored_files(rows)
@@ -191,7 +196,7 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
         await derive_again(db, old.mission.id)
         await db.execute(queries.change_file(file_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"path": old.path, "mission": old.mission.name}
-        await audit(db, actor, _event("file.delete", old, before, takes=takes))
+        await audit(db, actor, file_event("file.delete", old, before, takes=takes))
     runs = (await db.execute(queries.runs_that_read(actor, file_id))).scalar_one()
     made = list((await db.execute(queries.derived_from(actor, file_id))).scalars()) if runs else []
     usage = {"read_by_runs": runs, "made_from_it": made}
@@ -209,7 +214,7 @@ async def link_files(
     """
     async with context.database.begin() as db:
         stored = await _readable_files(db, actor, file_ids)
-        await audit(db, actor, *[_event(_FETCHED[purpose], one.read) for one in stored])
+        await audit(db, actor, *[file_event(_FETCHED[purpose], one.read) for one in stored])
         amount = {"files": len(stored), "size_bytes": sum(one.read.size_bytes for one in stored)}
         await count_downloads(db, actor, **amount)
     metrics.count_downloads(**amount)
@@ -238,7 +243,7 @@ async def record_slice(db: Connection, actor: Actor, *, file_id: uuid.UUID, sele
         FileUnavailable: the stored copy is lost or corrupt.
     """
     (stored,) = await _readable_files(db, actor, [file_id])
-    await audit(db, actor, _event("file.download", stored.read, after=selection))
+    await audit(db, actor, file_event("file.download", stored.read, after=selection))
     await count_downloads(db, actor, files=1, size_bytes=0)
     return stored
 
@@ -255,7 +260,7 @@ async def verify_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Fi
     """Have the bytes of a file verified again soon, and return the file as it is now. Raises NotFound."""
     (stored,) = await _stored_files(db, actor, [file_id])
     await verify_again(db, stored.blob_id)
-    await audit(db, actor, _event("file.verify", stored.read))
+    await audit(db, actor, file_event("file.verify", stored.read))
     return stored.read
 
 
@@ -272,7 +277,7 @@ async def _lock_file(db: Connection, actor: Actor, file_id: uuid.UUID, *also: uu
         # the database aborts one of the two transactions, and its client retries.
 
 
-def _event(
+def file_event(
     operation: str,
     changed: FileRead,
     before: Metadata | None = None,
@@ -280,6 +285,7 @@ def _event(
     *,
     takes: str | None = None,
 ) -> Event:
+    """Return the audit event of an operation on a file."""
     mission, before, after = changed.mission, before or {}, after or {}
     return Event(operation, "file", changed.id, changed.path, mission.project.id, before, after, mission.id, takes)
 
@@ -293,12 +299,12 @@ def _change_events(old: FileRead, new: FileRead) -> list[Event]:
     differing = [name for name in versions[0] if versions[0][name] != versions[1][name]]
     before, after = ({name: version[name] for name in differing} for version in versions)
     if old.mission.id == new.mission.id:
-        return [_event("file.update", new, before, after)]
+        return [file_event("file.update", new, before, after)]
     left: Metadata = {"path": old.path, "mission": old.mission.name}
     if old.mission.project.id != new.mission.project.id:
         before = {name: value for name, value in before.items() if name not in {"mission", "project"}}
-    arrival = _event("file.move_in", new, before, after, takes="begin_uploads")
-    return [_event("file.move_out", old, left, takes="move_file"), arrival]
+    arrival = file_event("file.move_in", new, before, after, takes="begin_uploads")
+    return [file_event("file.move_out", old, left, takes="move_file"), arrival]
 
 
 # The most labels of one file.
@@ -326,7 +332,7 @@ async def label_files(db: Connection, actor: Actor, *, change: LabelChange) -> l
         values = [{"ref": file_id, "new_labels": labels} for file_id, labels in changed.items()]
         await db.execute(queries.set_labels(), values)
     events = [
-        _event("file.update", files[file_id], {"labels": [*files[file_id].labels]}, {"labels": [*labels]})
+        file_event("file.update", files[file_id], {"labels": [*files[file_id].labels]}, {"labels": [*labels]})
         for file_id, labels in changed.items()
     ]
     await audit(db, actor, *events)

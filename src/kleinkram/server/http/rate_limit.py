@@ -50,6 +50,7 @@ _OPERATION_KINDS = {
     "get_metric_table": "searches",
     "download_files": "downloads",
     "slice_file": "downloads",
+    "get_recording_preview": "downloads",
     "begin_uploads": "uploads",
     "verify_file": "verifications",
     "export_audit_events": "exports",

@@ -18,6 +18,7 @@ class Job(str, enum.Enum):
     summarise_blob = "summarise_blob"
     verify_blob = "verify_blob"
     summarise_and_verify_blob = "examine_blob"
+    make_recording_preview = "make_recording_preview"
     derive_recordings = "group_recordings"
     judge_mission = "judge_mission"
     judge_project = "judge_project"
@@ -41,13 +42,19 @@ class Priority(enum.IntEnum):
 
 
 # Verification reads everything once, small files come by the thousand, and derivation waits for uploads: each has its
-# own queue, so that summaries do not wait for them. (With a lock for derivation, one retried mission would block all
-# others.) The names of queues are stored, too.
+# own queue, so that summaries do not wait for them; so have previews, which are made while others are verified. (With a
+# lock for derivation, one retried mission would block all others.) The names of queues are stored, too.
 VERIFICATION = "verification"
 SMALL_BLOBS = "examining"
 DERIVATION = "grouping"
+PREVIEWS = "previews"
 DEFAULT = "default"
-_QUEUES = {Job.verify_blob: VERIFICATION, Job.summarise_and_verify_blob: SMALL_BLOBS, Job.derive_recordings: DERIVATION}
+_QUEUES = {
+    Job.verify_blob: VERIFICATION,
+    Job.summarise_and_verify_blob: SMALL_BLOBS,
+    Job.derive_recordings: DERIVATION,
+    Job.make_recording_preview: PREVIEWS,
+}
 
 _DELETE_FAILED = text(
     "DELETE FROM procrastinate_jobs j WHERE j.status IN ('failed', 'cancelled', 'aborted') AND NOT EXISTS"

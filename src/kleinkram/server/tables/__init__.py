@@ -1,7 +1,7 @@
 """The data model: tables with their constraints and indexes. What the database can enforce, it enforces."""
 
 from kleinkram.server.tables.base import metadata
-from kleinkram.server.tables.blobs import blob, scrub, store_probe, topic, topic_name, upload
+from kleinkram.server.tables.blobs import blob, recording_preview, scrub, store_probe, topic, topic_name, upload
 from kleinkram.server.tables.checks import check_acceptance, check_note, check_report, mission_checks, project_checks
 from kleinkram.server.tables.mission_events import mission_event
 from kleinkram.server.tables.missions import (

@@ -110,6 +110,31 @@ topic = sa.Table(
     sa.Index("ix_topic_message_type", "message_type", "blob_id"),
 )
 
+# Previews of recordings: derived objects, which are in no backup and are made again.
+recording_preview = sa.Table(
+    "recording_preview",
+    metadata,
+    sa.Column("blob_id", sa.Uuid, sa.ForeignKey("blob.id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("store_id", sa.Text, nullable=False, server_default="main"),
+    # Of its object, from before it is written until after it is deleted.
+    sa.Column("key", sa.Text),
+    sa.Column("state", sa.Text, nullable=False),
+    # The version of its contents; an earlier one is made again.
+    sa.Column("version", sa.Integer, nullable=False),
+    sa.Column("size_bytes", sa.BigInteger),
+    sa.Column("reason", sa.Text),
+    sa.Column("made_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
+    sa.UniqueConstraint("store_id", "key"),
+    sa.CheckConstraint("state IN ('making', 'ready', 'failed', 'deleted')", name="state"),
+    sa.CheckConstraint("state <> 'ready' OR (key IS NOT NULL AND size_bytes IS NOT NULL)", name="ready"),
+    # To find the objects to be deleted.
+    sa.Index(
+        "ix_recording_preview_deleted",
+        "blob_id",
+        postgresql_where=sa.text("state IN ('deleted', 'failed') AND key IS NOT NULL"),
+    ),
+)
+
 # All topic names, each once, to find the names that contain a word. A trigger maintains it.
 topic_name = sa.Table(
     "topic_name",

@@ -1,0 +1,193 @@
+"""Makes the preview of a recording in one pass over its messages.
+
+Bounded whatever the recording: topics, fields, pictures and lines are counted, and a recording that is larger than
+`PreviewLimits.whole_bytes` is read in parts that are evenly spread over it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from kleinkram.recordings.decoding.sensor_data import CAMERA_TYPES, VIDEO_TYPES
+from kleinkram.recordings.errors import TooDisordered
+from kleinkram.recordings.formats.base import Segment
+from kleinkram.recordings.messages import Block, Selection, Topic
+from kleinkram.recordings.previews.bins import FieldBudget
+from kleinkram.recordings.previews.clouds import CLOUD_TYPES
+from kleinkram.recordings.previews.log_lines import LOG_TYPES, LogLines
+from kleinkram.recordings.previews.model import LeftOutTopic, RecordingPreview
+from kleinkram.recordings.previews.size_limit import encode_within
+from kleinkram.recordings.previews.topic_readers import (
+    CameraReader,
+    CloudReader,
+    LogReader,
+    NumericTopicReader,
+    TopicReader,
+)
+from kleinkram.recordings.recording import Recording, merged_blocks
+from kleinkram.recordings.trajectories.topics import POSE_TYPES
+
+MAX_BYTES, MIN_BYTES = 20 * 10**6, 256 * 10**3
+MAX_TOPICS, MAX_CAMERAS, MAX_CLOUD_TOPICS = 500, 16, 4
+MAX_SERIES = 1_000  # fields of all topics: each takes up to 64 kB
+MAX_LEFT_OUT = 100
+_FIRST_CHECK, _CHECK_BLOCKS = 1, 16
+
+
+@dataclass(frozen=True)
+class PreviewLimits:
+    """Bounds of a preview.
+
+    Attributes:
+        max_bytes: of its file; None: `preview_max_bytes` of the recording.
+        whole_bytes: a larger recording is read in parts.
+        cpu_s: processor time, in seconds, after which no more is read.
+    """
+
+    max_bytes: int | None = None
+    whole_bytes: int = 4 * 2**30
+    cpu_s: float = 240.0
+
+
+def preview_max_bytes(recording_bytes: int) -> int:
+    """Return the greatest size of a preview: 1 % of the recording, but at least 256 kB, and at most 20 MB."""
+    return min(MAX_BYTES, max(MIN_BYTES, recording_bytes // 100))
+
+
+def make_preview(recording: Recording, limits: PreviewLimits | None = None) -> bytes:
+    """Read a recording, and return the file of its preview. The content of a recording never raises.
+
+    Raises:
+        ReadingExtraMissing: pillow is not installed.
+        SourceError: the bytes cannot be read.
+    """
+    limits = limits or PreviewLimits()
+    builder = _PreviewBuilder(recording.topics)
+    read_share = builder.read(recording, limits)
+    return encode_within(builder.preview(read_share), limits.max_bytes or preview_max_bytes(recording.size_bytes))
+
+
+class _PreviewBuilder:
+    def __init__(self, topics: Iterable[Topic]) -> None:
+        self._logs = LogLines()
+        self._numbers: list[NumericTopicReader] = []
+        self._cameras: list[CameraReader] = []
+        self._clouds: list[CloudReader] = []
+        self._readers: dict[str, TopicReader] = {}
+        self._left_out: list[LeftOutTopic] = []
+        self._budget = FieldBudget(MAX_SERIES)
+        self._start_ns: int | None = None
+        self._end_ns: int | None = None
+        for topic in topics:
+            if topic.count != 0:
+                self._plan(topic)
+
+    def _plan(self, topic: Topic) -> None:
+        kind = topic.message_type.replace(".", "/").rpartition("/")[2]
+        if topic.undecodable is not None:
+            self._leave_out(topic, topic.undecodable)
+        elif kind in VIDEO_TYPES:
+            self._leave_out(topic, "parts of a video are no pictures by themselves")
+        elif kind in CAMERA_TYPES:
+            if len(self._cameras) < MAX_CAMERAS:
+                self._cameras.append(CameraReader(topic))
+                self._readers[topic.name] = self._cameras[-1]
+            else:
+                self._leave_out(topic, f"{MAX_CAMERAS} other cameras are shown")
+        elif kind in CLOUD_TYPES:
+            if len(self._clouds) < MAX_CLOUD_TOPICS:
+                self._clouds.append(CloudReader(topic))
+                self._readers[topic.name] = self._clouds[-1]
+            else:
+                self._leave_out(topic, f"{MAX_CLOUD_TOPICS} other topics of clouds are shown")
+        elif kind in LOG_TYPES:
+            self._readers[topic.name] = LogReader(self._logs)
+        elif len(self._numbers) < MAX_TOPICS:
+            self._numbers.append(NumericTopicReader(topic, self._budget, is_pose=kind in POSE_TYPES))
+            self._readers[topic.name] = self._numbers[-1]
+        else:
+            self._leave_out(topic, f"{MAX_TOPICS} other topics are shown")
+
+    def _leave_out(self, topic: Topic, reason: str) -> None:
+        if len(self._left_out) < MAX_LEFT_OUT:
+            self._left_out.append(LeftOutTopic(topic.name, reason[:200]))
+
+    def read(self, recording: Recording, limits: PreviewLimits) -> float:
+        """Read the messages; return the share of the recording that was read."""
+        if not self._readers:
+            return 1.0
+        until_s = time.process_time() + limits.cpu_s
+        parts = _Parts(recording, frozenset(self._readers), limits)
+        done_share = 0.0
+        try:
+            for number, (block, done_share) in enumerate(parts.blocks()):
+                self._add(block)
+                if number % _CHECK_BLOCKS == _FIRST_CHECK and time.process_time() > until_s:
+                    return done_share * parts.share
+        except TooDisordered:
+            return done_share * parts.share
+        finally:
+            for reader in self._readers.values():
+                reader.finish()
+        return parts.share
+
+    def _add(self, block: Block) -> None:
+        readers = self._readers
+        for topic, log_ns, _publish_ns, _sequence, data, channel in block:
+            readers[topic].add(log_ns, data, channel)
+        if block:
+            first_ns, last_ns = block[0].log_time_ns, block[-1].log_time_ns
+            self._start_ns = first_ns if self._start_ns is None else min(self._start_ns, first_ns)
+            self._end_ns = last_ns if self._end_ns is None else max(self._end_ns, last_ns)
+
+    def preview(self, read_share: float) -> RecordingPreview:
+        """Return what was collected."""
+        left_out = list(self._left_out)
+        for numbers in self._numbers:
+            if numbers.why_left_out and len(left_out) < MAX_LEFT_OUT:
+                left_out.append(LeftOutTopic(numbers.topic.name, numbers.why_left_out))
+        return RecordingPreview(
+            self._start_ns,
+            self._end_ns,
+            read_share,
+            tuple(series for numbers in self._numbers if (series := numbers.series()) is not None),
+            tuple(strip for camera in self._cameras if (strip := camera.strip()) is not None),
+            tuple(track for numbers in self._numbers if (track := numbers.track()) is not None),
+            self._logs.lines(),
+            self._logs.count,
+            tuple(cloud for reader in self._clouds for cloud in reader.clouds()),
+            tuple(left_out),
+        )
+
+
+class _Parts:
+    """What is read of a recording: all, or of a large one, segments that are spread evenly. `share`: of the whole."""
+
+    def __init__(self, recording: Recording, topics: frozenset[str], limits: PreviewLimits) -> None:
+        self.share = 1.0
+        self._recording, self._topics = recording, topics
+        self._segments: list[Segment] | None = None
+        if recording.size_bytes > limits.whole_bytes:
+            segments = recording.segments(sorted(topics))
+            step = max(1.0, sum(segment.size_bytes for segment in segments) / limits.whole_bytes)
+            self._segments = [segments[int(number * step)] for number in range(int(len(segments) / step))]
+            self.share = 1 / step
+
+    def blocks(self) -> Iterator[tuple[Block, float]]:
+        """Yield messages by time, and how much of these parts was read, from 0 to 1."""
+        if self._segments is None:
+            for block in merged_blocks([self._recording], Selection(self._topics)):
+                yield block, _share_of_time(self._recording, block[-1].log_time_ns) if block else 0.0
+            return
+        for number, segment in enumerate(self._segments, 1):
+            for block in self._recording.segment_messages(segment, sorted(self._topics)):
+                yield block, number / len(self._segments)
+
+
+def _share_of_time(recording: Recording, time_ns: int) -> float:
+    start_ns, end_ns = recording.start_ns, recording.end_ns
+    if start_ns is None or end_ns is None or end_ns <= start_ns:
+        return 0.0
+    return min(1.0, max(0.0, (time_ns - start_ns) / (end_ns - start_ns)))

@@ -1,0 +1,37 @@
+"""Some points of a point cloud."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kleinkram.recordings.decoding import DecodeError, points
+from kleinkram.recordings.decoding.values import part, type_name
+from kleinkram.recordings.previews.model import ThinnedCloud
+
+CLOUD_TYPES = frozenset(("PointCloud2", "PointCloud"))
+MAX_POINTS = 5_000
+_CANDIDATES = 500_000  # points that are read of a cloud, since some are not finite
+_MAX_FRAME_ID = 200
+
+
+def thinned_cloud(value: object, topic: str, time_ns: int) -> ThinnedCloud:
+    """Return at most `MAX_POINTS` points of the cloud in a decoded message, evenly spread over their order in it.
+
+    Raises:
+        DecodeError: it has no cloud, or one without x, y and z.
+    """
+    cloud = points(value).reshape(-1)
+    names = cloud.dtype.names or ()
+    if any(axis not in names or cloud.dtype[axis].shape for axis in "xyz"):
+        raise DecodeError(type_name(value), "its points have no x, y and z")
+    candidates = cloud[:: max(1, -(-len(cloud) // _CANDIDATES))]
+    with np.errstate(over="ignore", invalid="ignore"):
+        xyz = np.stack([candidates[axis].astype(np.float32) for axis in "xyz"], axis=1)
+    xyz = xyz[np.isfinite(xyz).all(axis=1)]
+    xyz = np.ascontiguousarray(xyz[:: max(1, -(-len(xyz) // MAX_POINTS))])
+    frame_id = str(part(part(value, "header"), "frame_id") or part(value, "frame_id") or "")
+    return ThinnedCloud(topic, time_ns, _text(frame_id), len(cloud), xyz)
+
+
+def _text(text: str) -> str:
+    return text[:_MAX_FRAME_ID].encode("utf-8", "replace").decode()

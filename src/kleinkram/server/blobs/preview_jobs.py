@@ -1,0 +1,88 @@
+"""The job that makes the preview of a recording, in a child process without credentials.
+
+It is independent of the verification: whatever fails here concerns the preview alone.
+"""
+
+import uuid
+
+from procrastinate import JobContext
+
+from kleinkram.contract.names import file_name
+from kleinkram.contract.recording_previews import RecordingPreviewState
+from kleinkram.recordings import FailureKind, SummaryFailed
+from kleinkram.recordings.isolation import PreviewRequest, request_bytes
+from kleinkram.server.blobs import recording_previews, service
+from kleinkram.server.blobs.queries import BlobRow
+from kleinkram.server.blobs.readers import ReaderProcesses
+from kleinkram.server.context import AppContext
+from kleinkram.server.jobs.execution import (
+    ATTEMPTS,
+    RETRY_STRATEGY,
+    VERIFY_MAX_WAIT_S,
+    app_context,
+    back_pressure_of,
+    worker_resource,
+)
+from kleinkram.server.jobs.queue import Job, queue
+
+MAX_PREVIEW_BYTES = 20 * 10**6
+# A recording without a usable index is read whole to be opened, up to this size.
+_MAX_SCAN_BYTES = 2**30
+# Below the speed of the slowest format on any known machine; of a recording above 4 GiB, about as much is read.
+_BYTES_PER_S, _MAX_READ_BYTES = 5_000_000, 4 * 2**30
+
+
+@queue.task(name=Job.make_recording_preview.value, retry=RETRY_STRATEGY, pass_context=True)
+async def make_recording_preview(job_context: JobContext, ref: str) -> None:
+    """Make the preview of a recording and store it beside the blob; an earlier one is replaced."""
+    context, blob_id = app_context(job_context), uuid.UUID(ref)
+    async with context.database.begin() as db:
+        row = await service.find_blob(db, blob_id)
+        before = await recording_previews.find_preview(db, blob_id)
+    if row is None or not _is_due(context, row, before):
+        return
+    await back_pressure_of(job_context).wait_for_uploads(VERIFY_MAX_WAIT_S, since=row.created_at)
+    if before is not None and before.key is not None:
+        await context.storage.delete(before.key)
+    key = f"previews/{blob_id}/{uuid.uuid4().hex[:12]}"
+    async with context.database.begin() as db:
+        await recording_previews.record_begin(db, blob_id, key=key)
+    try:
+        data = await _make(context, worker_resource(job_context, "readers", ReaderProcesses), row)
+    except SummaryFailed as failure:
+        if failure.kind is FailureKind.source and job_context.job.attempts < ATTEMPTS - 1:
+            raise  # the store failed, not the file: try again
+        async with context.database.begin() as db:
+            await recording_previews.record_failure(db, blob_id, key=key, reason=str(failure))
+        return
+    await context.storage.put_object(key, data)
+    async with context.database.begin() as db:
+        is_recorded = await recording_previews.record_ready(db, blob_id, key=key, size_bytes=len(data))
+    if not is_recorded:
+        await context.storage.delete(key)
+
+
+def _is_due(context: AppContext, row: BlobRow, before: recording_previews.RecordingPreviewRow | None) -> bool:
+    """Whether a preview is to be made: one that was requested has the state `making` already."""
+    is_readable = row.path is not None and row.content in recording_previews.READABLE
+    if row.store_id != context.settings.store_id or not is_readable:
+        return False
+    if before is None:
+        return context.settings.recording_previews
+    return before.state != RecordingPreviewState.deleted.value
+
+
+async def _make(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> bytes:
+    """Return the file of a preview, which the child may have falsified: only its size is checked."""
+    timeout_s = context.settings.summary_timeout_s + min(row.size_bytes, _MAX_READ_BYTES) // _BYTES_PER_S
+    url = context.storage.sign_internal_get(row.key, expires_s=timeout_s + 60)
+    request = request_bytes(
+        PreviewRequest(url, row.size_bytes, file_name(row.path or "")),
+        max_bytes=_MAX_SCAN_BYTES,
+        memory_bytes=context.settings.summary_memory_bytes,
+        timeout_s=round(timeout_s),
+    )
+    data = await readers.preview(request, owner=row.uploaded_by_id, timeout_s=timeout_s)
+    if len(data) > MAX_PREVIEW_BYTES:
+        raise SummaryFailed(f"it has {len(data)} bytes", kind=FailureKind.crash)
+    return data

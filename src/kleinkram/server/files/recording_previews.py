@@ -1,0 +1,80 @@
+"""Previews of recordings, by file: read, made again, deleted. Whoever may read the file may read its preview."""
+
+import datetime
+import uuid
+
+from kleinkram.contract.errors import FieldProblem, InvalidRequest
+from kleinkram.contract.recording_previews import RecordingPreviewRead, RecordingPreviewState
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.rights import require_mission
+from kleinkram.server.audit.log import audit
+from kleinkram.server.blobs import recording_previews as previews
+from kleinkram.server.context import AppContext
+from kleinkram.server.db import Connection
+from kleinkram.server.files.queries import FileWithBlob
+from kleinkram.server.files.service import file_event, stored_file
+
+
+async def get_preview(context: AppContext, actor: Actor, *, file_id: uuid.UUID) -> RecordingPreviewRead:
+    """Return the state of a file's preview; if it is ready, with its URL, which is recorded as a look at the file.
+
+    Raises:
+        NotFound: the file does not exist, or is not visible.
+    """
+    async with context.database.begin() as db:
+        stored = await stored_file(db, actor, file_id)
+        row = await previews.find_preview(db, stored.blob_id)
+        if row is None or row.state != RecordingPreviewState.ready.value or row.key is None:
+            return _read(file_id, row)
+        await audit(db, actor, file_event("file.preview", stored.read, after={"recording_preview": True}))
+    expires_s = context.settings.download_url_s
+    return _read(file_id, row).model_copy(
+        update={
+            "url": context.storage.sign_get(row.key, path=f"{stored.read.path}.preview", expires_s=expires_s),
+            "expires_at": datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s),
+        }
+    )
+
+
+async def make_preview_again(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> RecordingPreviewRead:
+    """Have the preview of a file made soon, and return its state.
+
+    Raises:
+        NotFound: the file does not exist, or is not visible.
+        Forbidden: the actor may not.
+        InvalidRequest: the file is no recording that can be read.
+    """
+    stored = await _require(db, actor, "make_recording_preview", file_id)
+    if stored.read.content not in previews.READABLE:
+        message = f"{stored.read.path} is no recording of which a preview can be made"
+        raise InvalidRequest(problems=[FieldProblem(field="file_id", message=message)])
+    await previews.make_again(db, stored.blob_id)
+    await audit(db, actor, file_event("file.make_preview", stored.read))
+    return _read(file_id, await previews.find_preview(db, stored.blob_id))
+
+
+async def delete_preview(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> RecordingPreviewRead:
+    """Delete the preview of a file; it is made again only on request. Raises NotFound or Forbidden."""
+    stored = await _require(db, actor, "delete_recording_preview", file_id)
+    await previews.mark_deleted(db, stored.blob_id)
+    await audit(db, actor, file_event("file.delete_preview", stored.read))
+    return _read(file_id, await previews.find_preview(db, stored.blob_id))
+
+
+async def _require(db: Connection, actor: Actor, operation: str, file_id: uuid.UUID) -> FileWithBlob:
+    stored = await stored_file(db, actor, file_id)
+    await require_mission(db, actor, operation, stored.read.mission.id)
+    return stored
+
+
+def _read(file_id: uuid.UUID, row: previews.RecordingPreviewRow | None) -> RecordingPreviewRead:
+    if row is None:
+        return RecordingPreviewRead(file_id=file_id, state=RecordingPreviewState.none)
+    return RecordingPreviewRead(
+        file_id=file_id,
+        state=RecordingPreviewState(row.state),
+        reason=row.reason,
+        version=row.version,
+        size_bytes=row.size_bytes,
+        made_at=row.made_at,
+    )

@@ -1,0 +1,268 @@
+"""Previews of recordings on the server: made, shared by duplicates, replaced, deleted, and never a reason to fail."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from kleinkram.contract.access import Right
+from kleinkram.recordings import Recording
+from kleinkram.recordings.previews import PREVIEW_VERSION, make_preview, read_preview
+from kleinkram.recordings.sample import SampleFormat, generate_file, generate_mcap
+from kleinkram.server.blobs import preview_jobs, recording_previews
+from kleinkram.server.blobs.queries import SMALL_BYTES
+from kleinkram.server.maintenance import collect_garbage
+from tests.integration import people
+from tests.integration.api_server import Api
+from tests.integration.jobs import on_site, run_jobs
+from tests.integration.upload_client import begin, fetch, upload
+
+_JOB = "make_recording_preview"
+
+
+@pytest.fixture(name="api", scope="module")
+def _api(start_api: Any) -> Api:
+    """An API of its own: its jobs are run by these tests alone."""
+    api: Api = start_api(garbage_grace_s=0)
+    return api
+
+
+@pytest.fixture(name="body", scope="module")
+def _body(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("previews") / "run.mcap"
+    generate_mcap(path, size_bytes=2_000_000, seed=3)
+    return path.read_bytes()
+
+
+def _unique(body: bytes, tmp_path: Path) -> bytes:
+    """Return a recording that no other test uploads."""
+    path = tmp_path / f"{uuid.uuid4().hex}.mcap"
+    generate_mcap(path, size_bytes=400_000, seed=uuid.uuid4().int % 2**31)
+    return path.read_bytes()
+
+
+def _preview(api: Api, file_id: str) -> dict[str, Any]:
+    read: dict[str, Any] = api.get(f"/files/{file_id}/preview").ok()
+    return read
+
+
+def _key(api: Api, file_id: str) -> str | None:
+    rows = api.sql(
+        "SELECT p.key FROM recording_preview p JOIN file f ON f.blob_id = p.blob_id WHERE f.id = %s", file_id
+    )
+    return rows[0][0] if rows else None
+
+
+def _is_stored(api: Api, key: str) -> bool:
+    return on_site(api, lambda site: site.storage.find(key)) is not None
+
+
+@pytest.mark.parametrize("kind", [SampleFormat.mcap, SampleFormat.bag, SampleFormat.db3])
+def test_a_new_recording_has_a_preview_of_its_messages(
+    api: Api, mission_id: str, tmp_path: Path, kind: SampleFormat
+) -> None:
+    truth = generate_file(tmp_path / f"run.{kind.value}", kind=kind, size_bytes=1_500_000, seed=4)
+    file = upload(api, mission_id, truth.path.name, truth.path.read_bytes())
+    assert _preview(api, file["id"])["state"] == "none"
+    assert _JOB in run_jobs(api)
+    read = _preview(api, file["id"])
+    assert (read["state"], read["reason"], read["version"]) == ("ready", None, PREVIEW_VERSION)
+    status, data = fetch(read["url"])
+    assert (status, len(data)) == (200, read["size_bytes"])
+    with Recording.open(truth.path) as recording:
+        assert data == make_preview(recording), "the child makes what the library makes"
+    preview = read_preview(data)
+    counts = {topic.name: topic.count for topic in truth.topics}
+    assert preview.series
+    assert all(counts[series.topic] == series.message_count for series in preview.series)
+    assert api.get(f"/files/{file['id']}").ok()["state"] == "verified"
+    status, beginning = fetch(read["url"], Range="bytes=0-7")
+    assert (status, beginning) == (206, b"KLPREV1\n")
+
+
+def test_files_with_the_same_bytes_share_a_preview(api: Api, mission_id: str, body: bytes) -> None:
+    first = upload(api, mission_id, "first.mcap", body)
+    run_jobs(api)
+    (decision,) = begin(api, mission_id, {"second.mcap": body})
+    second = decision["file"]
+    assert _JOB not in run_jobs(api)
+    assert _preview(api, second["id"])["state"] == "ready"
+    assert _key(api, first["id"]) == _key(api, second["id"])
+
+
+def test_small_recordings_and_other_files_have_a_preview_on_request_only(
+    api: Api, mission_id: str, tmp_path: Path
+) -> None:
+    generate_mcap(tmp_path / "small.mcap", size_bytes=80_000, seed=7)
+    small = (tmp_path / "small.mcap").read_bytes()
+    assert len(small) <= SMALL_BYTES
+    files = [upload(api, mission_id, "small.mcap", small), upload(api, mission_id, "big.bin", bytes(SMALL_BYTES + 1))]
+    assert _JOB not in run_jobs(api)
+    assert [_preview(api, file["id"])["state"] for file in files] == ["none", "none"]
+    assert api.post(f"/files/{files[0]['id']}/preview").ok(202)["state"] == "making"
+    api.post(f"/files/{files[1]['id']}/preview").refused(422, "invalid_request")
+    assert _JOB in run_jobs(api)
+    assert _preview(api, files[0]["id"])["state"] == "ready"
+
+
+def test_a_deleted_preview_is_made_again_only_on_request(
+    api: Api, mission_id: str, tmp_path: Path, body: bytes
+) -> None:
+    file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+    run_jobs(api)
+    key = _key(api, file["id"])
+    assert key is not None
+    assert api.delete(f"/files/{file['id']}/preview").ok()["state"] == "deleted"
+    assert "url" not in {name for name, value in _preview(api, file["id"]).items() if value is not None}
+    on_site(api, collect_garbage)
+    assert not _is_stored(api, key)
+    on_site(api, collect_garbage)
+    assert _JOB not in run_jobs(api)
+    assert api.post(f"/files/{file['id']}/preview").ok(202)["state"] == "making"
+    run_jobs(api)
+    assert _preview(api, file["id"])["state"] == "ready"
+    assert fetch(_preview(api, file["id"])["url"])[0] == 200
+    operations = [event["operation"] for event in api.events(file["id"])]
+    assert operations[0] == "file.preview"
+    assert {"file.make_preview", "file.delete_preview"} <= set(operations)
+
+
+def test_a_preview_that_is_made_again_replaces_its_object(
+    api: Api, mission_id: str, tmp_path: Path, body: bytes
+) -> None:
+    file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+    run_jobs(api)
+    before = _key(api, file["id"])
+    api.post(f"/files/{file['id']}/preview").ok(202)
+    run_jobs(api)
+    after = _key(api, file["id"])
+    assert before is not None
+    assert after is not None
+    assert (before != after, _is_stored(api, before), _is_stored(api, after)) == (True, False, True)
+
+
+def test_a_preview_is_deleted_with_its_blob(api: Api, mission_id: str, tmp_path: Path, body: bytes) -> None:
+    file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+    run_jobs(api)
+    key = _key(api, file["id"])
+    assert key is not None
+    api.delete(f"/files/{file['id']}").ok()
+    api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE id = %s", file["id"])
+    for _ in range(2):
+        on_site(api, collect_garbage)
+    assert not _is_stored(api, key)
+    assert api.sql("SELECT count(*) FROM recording_preview WHERE key = %s", key) == [(0,)]
+
+
+def test_recordings_of_earlier_versions_get_previews_in_time(
+    api: Api, mission_id: str, tmp_path: Path, body: bytes
+) -> None:
+    files = [upload(api, mission_id, name, _unique(body, tmp_path)) for name in ("none.mcap", "old.mcap")]
+    run_jobs(api)
+    api.sql("DELETE FROM recording_preview p USING file f WHERE f.blob_id = p.blob_id AND f.id = %s", files[0]["id"])
+    api.sql(
+        "UPDATE recording_preview p SET version = 0 FROM file f WHERE f.blob_id = p.blob_id AND f.id = %s",
+        files[1]["id"],
+    )
+    on_site(api, collect_garbage)
+    assert run_jobs(api).count(_JOB) == 2
+    assert [_preview(api, file["id"])["version"] for file in files] == [recording_previews.VERSION] * 2
+    on_site(api, collect_garbage)
+    assert _JOB not in run_jobs(api)
+
+
+def test_a_preview_that_fails_leaves_the_verification(
+    api: Api, mission_id: str, tmp_path: Path, body: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(preview_jobs, "MAX_PREVIEW_BYTES", 100)
+    file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+    run_jobs(api)
+    read = _preview(api, file["id"])
+    assert (read["state"], read["url"]) == ("failed", None)
+    assert "bytes" in read["reason"]
+    stored = api.get(f"/files/{file['id']}").ok()
+    assert (stored["state"], stored["content"]) == ("verified", "indexed")
+    on_site(api, collect_garbage)
+    assert _JOB not in run_jobs(api), "it would fail again"
+    key = _key(api, file["id"])
+    assert key is None
+
+
+def test_a_reader_without_memory_is_a_failed_preview(start_api: Any, tmp_path: Path, body: bytes) -> None:
+    api: Api = start_api(summary_memory_bytes=128 * 2**20)
+    mission_id = api.mission(api.project()["id"])["id"]
+    file = upload(api, mission_id, "run.mcap", body)
+    run_jobs(api)
+    read = _preview(api, file["id"])
+    assert (read["state"], read["url"]) == ("failed", None)
+    assert "memory" in read["reason"]
+    assert api.get(f"/files/{file['id']}").ok()["state"] == "verified"
+
+
+def test_the_setting_leaves_previews_to_requests(start_api: Any, body: bytes) -> None:
+    api: Api = start_api(recording_previews=False)
+    mission_id = api.mission(api.project()["id"])["id"]
+    file = upload(api, mission_id, "run.mcap", body)
+    assert _JOB not in run_jobs(api)
+    on_site(api, collect_garbage)
+    assert _JOB not in run_jobs(api)
+    api.post(f"/files/{file['id']}/preview").ok(202)
+    run_jobs(api)
+    assert _preview(api, file["id"])["state"] == "ready"
+
+
+def test_a_job_that_is_overtaken_leaves_no_object(
+    api: Api, mission_id: str, tmp_path: Path, body: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+    make = preview_jobs._make
+    keys: list[str | None] = []
+
+    async def make_and_delete(*arguments: Any) -> bytes:
+        data = await make(*arguments)
+        keys.append(await asyncio.to_thread(_key, api, file["id"]))
+        await asyncio.to_thread(lambda: api.delete(f"/files/{file['id']}/preview").ok())
+        return data
+
+    monkeypatch.setattr(preview_jobs, "_make", make_and_delete)
+    run_jobs(api)
+    assert _preview(api, file["id"])["state"] == "deleted"
+    (key,) = keys
+    assert key is not None
+    assert not _is_stored(api, key)
+
+
+def test_readers_see_previews_and_owners_change_them(api: Api, mission_id: str, tmp_path: Path, body: bytes) -> None:
+    file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+    run_jobs(api)
+    path = f"/files/{file['id']}/preview"
+    stranger, reader = people.person(api), people.person(api)
+    project_id = api.get(f"/missions/{mission_id}").ok()["project"]["id"]
+    people.grant(api, reader, project_id=project_id, right=Right.read)
+    as_stranger = api.as_(people.token(api, stranger).secret)
+    for answer in (as_stranger.get(path), as_stranger.post(path), as_stranger.delete(path)):
+        answer.refused(404, "not_found")
+    as_reader = api.as_(people.token(api, reader).secret)
+    assert as_reader.get(path).ok()["state"] == "ready"
+    as_reader.post(path).refused(403, "forbidden")
+    as_reader.delete(path).refused(403, "forbidden")
+    guest = api.as_(people.share(api, mission_id).secret)
+    assert fetch(guest.get(path).ok()["url"])[0] == 200
+    guest.delete(path).refused(403, "scope_missing")
+
+
+def test_a_scrub_counts_no_preview_as_unknown(api: Api, mission_id: str, tmp_path: Path, body: bytes) -> None:
+    upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+    run_jobs(api)
+    api.post("/admin/scrub", {}).ok(202)
+    run_jobs(api)
+    (unknown, reason) = api.sql("SELECT unknown, aborted_reason FROM scrub ORDER BY created_at DESC LIMIT 1")[0]
+    assert (unknown, reason) == (0, None)
+
+
+def test_the_version_is_that_of_the_library() -> None:
+    assert recording_previews.VERSION == PREVIEW_VERSION
