@@ -6,6 +6,10 @@ const MIB = 2 ** 20;
 export const BLOCK = 128 * 1024;
 /** What the cache keeps of one recording. */
 export const MAX_CACHED = 48 * MIB;
+/** What the decompressed chunks of one recording take up in memory, and those of all that are open at once. */
+export const MAX_CHUNK_CACHE = 64 * MIB;
+export const MAX_CHUNK_CACHES = 256 * MIB;
+export const MAX_CHUNK_CACHES_ON_PHONES = 96 * MIB;
 /** The longest piece that is read at once: an index, or a chunk with its index. */
 export const MAX_READ_AT_ONCE = 96 * MIB;
 /** The largest chunk once it is decompressed. */
@@ -35,6 +39,8 @@ export const MAX_ELEMENTS = 16;
 export const MAX_FIELDS = 600;
 /** A slice that a browser keeps in memory, because it cannot write a file. */
 export const MAX_SLICE_IN_MEMORY = 1_000_000_000;
+/** Messages of one answer. */
+export const MAX_MESSAGES_AT_ONCE = 20_000;
 /** Curves in one plot. */
 export const MAX_CURVES = 6;
 /** The store must send something within this time. */
