@@ -48,8 +48,11 @@ export interface Clock {
   readonly span: Span;
   readonly timeNs: Readonly<Ref<bigint>>;
   readonly isPlaying: Readonly<Ref<boolean>>;
-  readonly speed: Ref<number>;
-  readonly loop: Ref<Span | null>;
+  readonly speed: Readonly<Ref<number>>;
+  readonly loop: Readonly<Ref<Span | null>>;
+  readonly setSpeed: (speed: number) => void;
+  /** Repeats a part while playing; null repeats nothing. */
+  readonly setLoop: (loop: Span | null) => void;
   readonly seek: (timeNs: bigint) => void;
   readonly moveBy: (seconds: number) => void;
   readonly toggle: () => void;
@@ -101,6 +104,8 @@ export function useClock(span: Span, recorded: readonly Span[], startNs: bigint)
     isPlaying: readonly(isPlaying),
     speed,
     loop,
+    setSpeed: (next) => (speed.value = next),
+    setLoop: (next) => (loop.value = next),
     seek,
     moveBy: (seconds) => seek(timeNs.value + BigInt(Math.round(seconds * 1e9))),
     toggle: () => (isPlaying.value = !isPlaying.value),

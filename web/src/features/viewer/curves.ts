@@ -20,6 +20,16 @@ export interface Segment extends Span {
   readonly isCut: boolean;
 }
 
+/** What a plot knows of one of its topics. */
+export interface SeriesState {
+  readonly fields: readonly string[];
+  readonly segments: readonly Segment[];
+  readonly unread: readonly Span[];
+  readonly wholeBytes: number;
+  readonly isReading: boolean;
+  readonly readAll: () => void;
+}
+
 /** What a plot reads unasked of one topic, and around the play head. */
 export const PLOT_BYTES = MAX_BYTES_UNCONFIRMED / 2;
 export const AROUND_BYTES = 8 * 2 ** 20;

@@ -44,7 +44,7 @@ export function useAddress(clock: Clock, defaults: () => readonly Panel[]): View
 
   function readLoop(): void {
     const [fromNs, toNs] = [timeOf(loopFrom.value), timeOf(loopTo.value)];
-    clock.loop.value = fromNs !== null && toNs !== null && fromNs < toNs ? { fromNs, toNs } : null;
+    clock.setLoop(fromNs !== null && toNs !== null && fromNs < toNs ? { fromNs, toNs } : null);
   }
 
   readLoop();

@@ -3,6 +3,8 @@ import { inject, type InjectionKey, type Ref } from "vue";
 import type { Clock } from "./clock";
 import type { ViewerTopic } from "./queries";
 import type { Sources } from "./sources";
+import { formatUtc } from "@/components/format";
+import { texts } from "@/texts/viewer";
 
 export interface Viewer {
   readonly clock: Clock;
@@ -32,4 +34,13 @@ export function secondsOf({ span }: Clock, timeNs: bigint): number {
 /** Returns the log time of seconds since the beginning. */
 export function timeAt({ span }: Clock, seconds: number): bigint {
   return span.fromNs + BigInt(Math.round(seconds * NS_PER_S));
+}
+
+/** Seconds say little in a mission that is longer than this. */
+const LONG_SECONDS = 2 * 86_400;
+
+/** Returns a time for people: seconds since the beginning, or the date where that is long ago. */
+export function timeText(clock: Clock, timeNs: bigint): string {
+  const isLong = secondsOf(clock, clock.span.toNs) > LONG_SECONDS;
+  return isLong ? formatUtc(new Date(Number(timeNs / 1_000_000n))) : texts.seconds(secondsOf(clock, timeNs));
 }
