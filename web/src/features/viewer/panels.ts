@@ -64,10 +64,17 @@ export function defaultLayout(topics: readonly ViewerTopic[], kinds: readonly Pa
   return withoutGap(panels);
 }
 
-/** Moves a narrow panel before the first wide one, if the one before that would stand alone. */
+/** Returns the panels without one that stands alone in its row: a later one comes beside it, or it becomes wide. */
 function withoutGap(panels: Panel[]): Panel[] {
   const firstWide = panels.findIndex(({ isWide }) => isWide);
   const filler = panels.findIndex(({ isWide }, place) => place > firstWide && !isWide);
-  if (firstWide % 2 !== 1 || filler < 0) return panels;
-  return panels.toSpliced(filler, 1).toSpliced(firstWide, 0, ...panels.slice(filler, filler + 1));
+  const isOdd = firstWide % 2 === 1;
+  const sorted = isOdd && filler >= 0 ? panels.toSpliced(filler, 1).toSpliced(firstWide, 0, ...panels.slice(filler, filler + 1)) : panels;
+  let column = 0;
+  return sorted.map((panel, place) => {
+    const isLastOfRow = sorted[place + 1]?.isWide !== false;
+    const isAlone = !panel.isWide && column === 0 && isLastOfRow;
+    column = panel.isWide || isAlone || column === 1 ? 0 : 1;
+    return isAlone ? { ...panel, isWide: true } : panel;
+  });
 }
