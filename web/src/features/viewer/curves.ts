@@ -33,6 +33,8 @@ export interface SeriesState {
 /** What a plot reads unasked of one topic, and around the play head. */
 export const PLOT_BYTES = MAX_BYTES_UNCONFIRMED / 2;
 export const AROUND_BYTES = 8 * 2 ** 20;
+/** How long before a segment the curve is broken. */
+const BREAK_SECONDS = 1e-6;
 const AROUND_BEFORE_NS = 2_000_000_000n;
 const AROUND_AFTER_NS = 15_000_000_000n;
 
@@ -87,12 +89,13 @@ export function aligned(topics: readonly { readonly curves: number; readonly seg
   };
   let first = 0;
   for (const { curves, segments } of topics) {
-    for (const [place, segment] of segments.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1)).entries()) {
+    const inOrder = segments.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1));
+    for (const [place, segment] of inOrder.entries()) {
       const start = segment.seconds[0];
-      const previous = segments[place - 1];
+      const previous = inOrder[place - 1];
       const isApart = previous !== undefined && segment.fromNs > previous.toNs + 1n;
       for (let curve = 0; curve < curves; curve += 1) {
-        if (isApart && start !== undefined) put(start - 1e-6, first + curve, null);
+        if (isApart && start !== undefined) put(start - BREAK_SECONDS, first + curve, null);
         segment.seconds.forEach((second, row) => put(second, first + curve, segment.values[curve]?.[row]));
       }
     }
