@@ -125,7 +125,8 @@ const canvas = await panel(0).locator(".u-over").boundingBox();
 await page.mouse.click(canvas.x + canvas.width / 2, canvas.y + canvas.height / 2);
 results.clicked = await timeOf();
 await panel(0).getByRole("button", { name: "Fields" }).click();
-await panel(0).locator("[data-field='angular_velocity.x']").click({ force: true });
+await panel(0).locator("[data-series='/imu/data'] summary", { hasText: /^angular_velocity$/ }).click();
+await panel(0).locator("[data-field='angular_velocity.x']").click();
 await panel(0).locator("[data-field-value='angular_velocity.x']").waitFor();
 results.added = (await plotOf(0)).values.map(([field]) => field);
 

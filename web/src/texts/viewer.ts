@@ -65,6 +65,7 @@ export const texts = {
 
   plotOf: (curves: string) => `Plot over time: ${curves}`,
   plotLoading: "Reading",
+  noValues: "No numbers in the parts that were read.",
   fields: "Fields",
   fieldsOf: (topic: string) => `Fields of ${topic}`,
   addTopic: "Add topic",
