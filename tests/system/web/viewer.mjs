@@ -66,6 +66,10 @@ results.bytesRead = Number(await page.locator("[data-bytes-read]").getAttribute(
 await goTo(["mcapImage", "bagImage", "db3Image", "imu", "plot"], laterNs);
 for (const place of [0, 1, 2, 3]) await panel(place).locator("[data-log-time]").waitFor();
 results.later = { time: await timeOf(), mcap: await pictureOf(0), bag: await pictureOf(1), db3: await pictureOf(2), imu: await messageOf(3), plot: await plotOf(4) };
+results.notice = await panel(4).locator("[data-unread]").innerText();
+await panel(4).getByRole("button", { name: /^Read all/ }).click();
+await panel(4).locator("[data-unread]").waitFor({ state: "detached" });
+results.whole = await plotOf(4);
 await checkPage(page, "viewer");
 
 // Keys: the next and previous message of the selected panel, one second, the ends.
@@ -135,7 +139,7 @@ await goTo(["log"], laterNs);
 await page.locator("[data-log][data-lines]").waitFor();
 results.log = { lines: await page.locator("[data-log]").getAttribute("data-lines"), texts: await page.locator("[data-log] .text").allInnerTexts() };
 await page.getByLabel("Level").selectOption("error");
-await page.waitForFunction(() => document.querySelectorAll("[data-log] .text").length < 10);
+await page.waitForFunction(() => document.querySelectorAll("[data-log] .text").length <= 10);
 results.log.errors = await page.locator("[data-log] .text").allInnerTexts();
 const line = page.locator("[data-log] tbody tr").first();
 const lineTime = await line.getAttribute("data-time");

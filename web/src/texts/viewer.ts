@@ -72,7 +72,7 @@ export const texts = {
   topic: "Topic",
   removeTopic: (topic: string) => `Remove ${topic}`,
   mostCurves: (count: number) => `A plot has at most ${count} curves.`,
-  unread: (size: number) => `Grey parts were not read. The curves need ${formatSize(size)} in all.`,
+  unread: (size: number) => `In the grey parts, some curves were not read. They need ${formatSize(size)} in all.`,
   readAll: (size: number) => `Read all ${formatSize(size)}`,
   points: (messages: number, isWhole: boolean) =>
     isWhole ? `${counted(messages, "message")}, all drawn` : `${counted(messages, "message")}, drawn as minimum and maximum`,
