@@ -6,7 +6,7 @@ export const texts = {
   viewWhy: "Show images, plots and messages of the recordings on one time axis",
   title: (name: string) => `View of ${name}`,
   nothing: "No recording can be viewed",
-  nothingWhy: "The viewer reads MCAP files, ROS 1 bags and rosbag2 databases that are indexed.",
+  nothingWhy: "The viewer reads MCAP files, ROS 1 bags, rosbag2 databases and flight logs (ULog) that are indexed.",
   emptyLayout: "No panels",
   emptyLayoutWhy: "Add a panel to see a topic.",
   read: (bytes: number, size: number) => `${formatSize(bytes)} of ${formatSize(size)} read`,
