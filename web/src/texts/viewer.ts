@@ -98,4 +98,4 @@ export const texts = {
   noLines: "No line matches.",
 } as const;
 
-export const panelTexts = { image: "Image", plot: "Plot", raw: "Raw messages", log: "Log" } as const;
+export const panelTexts = { image: "Image", plot: "Plot", raw: "Raw messages", log: "Log", scene: "3D" } as const;

@@ -3,6 +3,8 @@
 import type { Message } from "../formats/recording";
 import type { Value } from "../decoding/decoder";
 import { drawnPicture, type DrawnPicture } from "./drawn_picture";
+import { sceneBuffers, sceneMessage, type SceneMessage } from "../geometry/scene_message";
+import { transformsOf, type Transform } from "../geometry/transforms";
 import { plainValue, type PlainValue } from "./plain_value";
 import { messageTree, type MessageTree } from "./tree";
 
@@ -10,7 +12,10 @@ import { messageTree, type MessageTree } from "./tree";
 export interface Products {
   picture: DrawnPicture;
   plain: PlainValue;
+  /** What is shown in space. */
+  scene: SceneMessage;
   time: null;
+  transforms: readonly Transform[];
   tree: MessageTree;
 }
 
@@ -22,7 +27,9 @@ export type Make<P extends ProductName> = (message: Message, decode: () => Value
 export const makers: { readonly [P in ProductName]: Make<P> } = {
   picture: (_, decode) => drawnPicture(decode()),
   plain: (_, decode) => plainValue(decode()),
+  scene: ({ channel }, decode) => sceneMessage(channel.schema.name, decode()),
   time: () => null,
+  transforms: (_, decode) => transformsOf(decode()),
   tree: messageTree,
 };
 
@@ -61,5 +68,11 @@ export interface ReadMessage<P extends ProductName = ProductName> {
 
 /** Return what of a product is moved to the page instead of copied. */
 export function transferables(product: Products[ProductName]): Transferable[] {
-  return product !== null && typeof product === "object" && "bitmap" in product && product.bitmap instanceof ImageBitmap ? [product.bitmap] : [];
+  if (product === null || typeof product !== "object") return [];
+  if ("bitmap" in product && product.bitmap instanceof ImageBitmap) return [product.bitmap];
+  return isSceneMessage(product) ? sceneBuffers(product) : [];
+}
+
+function isSceneMessage(product: object): product is SceneMessage {
+  return "content" in product && "stampSeconds" in product;
 }
