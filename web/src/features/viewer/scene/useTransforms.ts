@@ -27,8 +27,8 @@ const MAX_BYTES = 8 * 2 ** 20;
 const MAX_STATIC_BYTES = 16 * 2 ** 20;
 const MAX_MESSAGES = 5_000;
 
-/** Follows the play head. `isNeeded` says whether frames that are shown have no transform yet. */
-export function useTransforms(priority: () => number, isNeeded: () => boolean): Transforms {
+/** Follows the play head. `isLacking`: frames that are shown have no transform yet. */
+export function useTransforms(priority: () => number, isLacking: Readonly<Ref<boolean>>): Transforms {
   const { clock, sources, topics } = useViewer();
   const buffer = new TransformBuffer();
   const version = ref(0);
@@ -104,8 +104,8 @@ export function useTransforms(priority: () => number, isNeeded: () => boolean): 
   }
 
   watch(clock.timeNs, (atNs) => follow(atNs), { immediate: true });
-  watch(() => isNeeded() && !isReading.value, (isLacking) => {
-    if (isLacking) void extend();
+  watch(() => isLacking.value && !isReading.value, (isDue) => {
+    if (isDue) void extend();
   });
   onScopeDispose(() => controller.abort());
   return { buffer, version, failure, isReading, stampOffset: () => offset };
