@@ -1,13 +1,12 @@
 // 3D panels: opens recordings with points, transforms and markers, and reads what the panels say that they show.
 // Prints the results as JSON. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's
-// address, the folder for pictures, and as JSON the files and panels: [{ name, file, time, series: ["/topic"] }].
+// address, the folder for pictures, and as JSON the panels: [{ name, file, time, series: ["/topic"], points }].
 import { openBrowser } from "./browsing.mjs";
 
 const [web, executablePath, link, address, pictures, json] = process.argv.slice(2);
 const KEY_LENGTH = 8;
 const { results, openPage, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 const { page } = await openPage();
-page.setDefaultTimeout(20_000);
 results.views = {};
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
@@ -24,11 +23,11 @@ async function open({ file, time, series, points }) {
 }
 
 async function state() {
-  await page.waitForTimeout(0);
   const topics = await page.locator("[data-scene-topic]").evaluateAll((rows) => rows.map((row) => ({ ...row.dataset, text: row.textContent })));
   const canvas = page.locator("[data-scene] canvas");
   const { fixedFrame, items } = await scene.evaluate((element) => ({ ...element.dataset }));
-  return { topics, label: await canvas.getAttribute("aria-label"), fixedFrame, items: Number(items), missing: await page.locator("[data-missing-transform]").allTextContents(), colours: await colours(canvas) };
+  const missing = await page.locator("[data-missing-transform]").allTextContents();
+  return { topics, label: await canvas.getAttribute("aria-label"), fixedFrame, items: Number(items), missing, colours: await colours(canvas) };
 }
 
 /** Returns how many different colours the drawing has, from a screenshot, since WebGL keeps no picture. */
@@ -44,7 +43,7 @@ async function colours(canvas) {
 
 for (const view of JSON.parse(json)) {
   await open(view);
-  if (view.missing) await page.locator("[data-missing-transform]").first().waitFor();
+  if (view.missing) await page.waitForFunction((count) => document.querySelectorAll("[data-missing-transform]").length === count, view.missing);
   else await page.waitForFunction((count) => Number(document.querySelector("[data-scene]")?.dataset.items) >= count, view.items ?? 1);
   results.views[view.name] = await state();
   if (view.isPictured) {
@@ -52,17 +51,21 @@ for (const view of JSON.parse(json)) {
     await page.getByRole("button", { name: "Topics and settings" }).click();
     await checkPage(page, `scene-${view.name}`);
   }
-  if (view.follow) {
+  if (view.hasSettings) {
     await page.locator("[data-setting=frame]").selectOption("base");
     await page.locator("[data-scene][data-fixed-frame=base]").waitFor();
     results.address = page.url();
-    await page.locator("canvas").focus();
-    const before = await colours(page.locator("[data-scene] canvas"));
+    const canvas = page.locator("[data-scene] canvas");
+    const before = await canvas.screenshot();
+    await canvas.focus();
     await page.keyboard.press("Shift+ArrowLeft");
     await page.keyboard.press("Shift+ArrowUp");
-    results.turned = { before, after: await colours(page.locator("[data-scene] canvas")) };
+    results.hasTurned = !before.equals(await canvas.screenshot());
+    results.time = await page.locator("[data-scene-topic]").first().getAttribute("data-log-time");
     await page.getByRole("checkbox", { name: view.series[0] }).uncheck();
     await page.locator("[data-drawn-points='0']").waitFor();
   }
 }
+// Screenshots of WebGL make a browser without a GPU wait, of which it warns.
+results.consoleErrors = results.consoleErrors.filter((text) => !text.includes("GPU stall due to ReadPixels"));
 await printResults();

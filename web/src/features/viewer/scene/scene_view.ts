@@ -16,7 +16,9 @@ export interface SceneColours {
 
 interface Drawn {
   readonly made: SceneObject;
-  placedAs: string;
+  /** Position, orientation and colour, as they were drawn last. */
+  placedAs: readonly number[];
+  styledAs: string;
 }
 
 /** Colours are drawn as they are stored. */
@@ -110,7 +112,7 @@ export class SceneView {
     if (this.frames !== null) this.remove(this.frames.made);
     this.frames = null;
     if (poses.length === 0) return;
-    this.frames = { made: poseObject({ poses, isPath: false, invalidPoses: 0 }, AXES_M), placedAs: "" };
+    this.frames = { made: poseObject({ poses, isPath: false, invalidPoses: 0 }, AXES_M), placedAs: [], styledAs: "" };
     this.scene.add(this.frames.made.object);
     this.place(this.frames, IDENTITY, "");
   }
@@ -143,7 +145,7 @@ export class SceneView {
     const centre = bounds.isEmpty() ? new Vector3() : bounds.getCenter(new Vector3());
     const radius = bounds.isEmpty() ? 5 : bounds.getSize(new Vector3()).length() / 2;
     this.isFitted = true;
-    this.aim(isFromTop ? TOP_DIRECTION : FIRST_DIRECTION, centre, 2 * Math.min(MAX_FIT_M, Math.max(1, radius)));
+    this.aim(isFromTop ? TOP_DIRECTION : FIRST_DIRECTION, centre, 1.7 * Math.min(MAX_FIT_M, Math.max(1, radius)));
   }
 
   zoom(factor: number): void {
@@ -176,7 +178,7 @@ export class SceneView {
   }
 
   private add(item: PlacedItem["item"]): Drawn {
-    const drawn = { made: objectOf(item), placedAs: "" };
+    const drawn = { made: objectOf(item), placedAs: [], styledAs: "" };
     drawn.made.object.matrixAutoUpdate = false;
     this.drawn.set(item, drawn);
     this.scene.add(drawn.made.object);
@@ -192,9 +194,9 @@ export class SceneView {
   private place(drawn: Drawn, pose: Pose, styledAs: string): void {
     const { object } = drawn.made;
     const { position, orientation } = positionOf(drawn.made, pose);
-    const placedAs = [...position, ...orientation, styledAs, this.colours.plain].join(" ");
-    if (drawn.placedAs === placedAs) return;
-    drawn.placedAs = placedAs;
+    const placedAs = [...position, ...orientation, this.colours.plain];
+    if (drawn.styledAs === styledAs && placedAs.every((value, place) => value === drawn.placedAs[place])) return;
+    [drawn.placedAs, drawn.styledAs] = [placedAs, styledAs];
     object.matrixAutoUpdate = false;
     object.matrix.copy(new Matrix4().compose(new Vector3(...relative(position, this.origin)), new Quaternion(...orientation), UNIT_SCALE));
     object.matrixWorldNeedsUpdate = true;

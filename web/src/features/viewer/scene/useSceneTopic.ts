@@ -40,7 +40,7 @@ function useDecay(shown: ShallowRef<ShownMessage<"scene"> | null>, decaySeconds:
   const collected = shallowRef<readonly TimedScene[]>([]);
   const visible = computed(() => {
     const last = collected.value.at(-1);
-    if (last === undefined) return [];
+    if (last === undefined || decaySeconds() === 0) return collected.value.slice(-1);
     const from = secondsOfNs(clock.timeNs.value) - decaySeconds();
     return collected.value.filter((one) => one === last || one.logSeconds > from);
   });
@@ -102,5 +102,8 @@ function useMarkers(series: () => Series, shown: ShallowRef<ShownMessage<"scene"
     if (now?.product.content.kind === "markers") apply(now);
   }, { immediate: true });
   onScopeDispose(() => controller.abort());
-  return computed(() => (version.value === 0 ? [] : set.visibleAt(secondsOfNs(clock.timeNs.value))));
+  const all = computed(() => (version.value === 0 ? [] : set.visibleAt(Number.NEGATIVE_INFINITY)));
+  const areTemporary = computed(() => all.value.some(({ lifetimeSeconds }) => Number.isFinite(lifetimeSeconds)));
+  // Only markers with a lifetime depend on the play head: others are not placed again with each of its steps.
+  return computed(() => (areTemporary.value ? set.visibleAt(secondsOfNs(clock.timeNs.value)) : all.value));
 }
