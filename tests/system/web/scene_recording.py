@@ -17,6 +17,9 @@ SECOND_NS = 10**9
 LARGE_CLOUD_POINTS = 1_000_000
 UTM = (465_000.0, 5_247_000.0, 430.0)
 _FLOAT32, _FLOAT64, _UINT32 = 7, 8, 6
+# By the numbers of visualization_msgs/Marker.type.
+_TRANSPARENT, _WITH_POINTS, _SMALL, _COLOURED = 3, 4, (6, 7, 8), (6, 8, 11)
+_CORNERS = ((0, 0, 0), (0.8, 0, 0.4), (0.8, 0.8, 0), (0, 0.8, 0.4), (0, 0, 0.8), (0.4, 0.4, 1))
 
 Message = tuple[str, str, int, Mapping[str, Any]]
 """Topic, type, log time in ns, and value."""
@@ -128,7 +131,9 @@ def _cut(cloud: dict[str, Any]) -> dict[str, Any]:
 
 def _path() -> dict[str, Any]:
     turns = [step / 20 for step in range(120)]
-    poses = [{"header": _header("map", START_NS), "pose": _pose(6 + 4 * math.cos(t), 4 * math.sin(t), 0.1)} for t in turns]
+    poses = [
+        {"header": _header("map", START_NS), "pose": _pose(6 + 4 * math.cos(t), 4 * math.sin(t), 0.1)} for t in turns
+    ]
     return {"header": _header("map", START_NS), "poses": poses}
 
 
@@ -139,19 +144,28 @@ def _grid() -> dict[str, Any]:
 
 
 def _markers() -> list[dict[str, Any]]:
-    """Return a marker of each type in a row."""
-    corners = [_point(0, 0, 0), _point(0.8, 0, 0.4), _point(0.8, 0.8, 0), _point(0, 0.8, 0.4), _point(0, 0, 0.8), _point(0.4, 0.4, 1)]
-    colours = [{"r": step / 5, "g": 0.4, "b": 1 - step / 5, "a": 1} for step in range(6)]
-    markers = []
-    for shape in range(12):
-        size = 0.2 if shape in (6, 7, 8) else 0.9
-        markers.append(
-            {
-                "header": _header("map", START_NS), "ns": "shapes", "id": shape, "type": shape, "action": 0,
-                "pose": _pose(1.5 * (shape % 6), 1.5 * (shape // 6), 0.5, yaw=0.4), "scale": {"x": size, "y": size / 3 if shape == 0 else size, "z": size / 3 if shape == 0 else size},
-                "color": {"r": 0.9, "g": 0.5, "b": 0.1, "a": 0.6 if shape == 3 else 1}, "lifetime": {"sec": 0, "nanosec": 0},
-                "frame_locked": False, "points": corners if shape >= 4 else [], "colors": colours if shape in (6, 8, 11) else [],
-                "text": "Kleinkram", "mesh_resource": "package://robot/base.stl" if shape == 10 else "",
-            }
-        )  # fmt: skip
-    return markers
+    """Return a marker of each type, in two rows."""
+    return [_marker(shape) for shape in range(12)]
+
+
+def _marker(shape: int) -> dict[str, Any]:
+    size = 0.2 if shape in _SMALL else 0.9
+    thin = size / 3 if shape == 0 else size
+    return {
+        "header": _header("map", START_NS),
+        "ns": "shapes",
+        "id": shape,
+        "type": shape,
+        "action": 0,
+        "pose": _pose(1.5 * (shape % 6), 1.5 * (shape // 6), 0.5, yaw=0.4),
+        "scale": _point(size, thin, thin),
+        "color": {"r": 0.9, "g": 0.5, "b": 0.1, "a": 0.6 if shape == _TRANSPARENT else 1},
+        "lifetime": {"sec": 0, "nanosec": 0},
+        "frame_locked": False,
+        "points": [_point(*corner) for corner in _CORNERS] if shape >= _WITH_POINTS else [],
+        "colors": [{"r": step / 5, "g": 0.4, "b": 1 - step / 5, "a": 1} for step in range(6)]
+        if shape in _COLOURED
+        else [],
+        "text": "Kleinkram",
+        "mesh_resource": "package://robot/base.stl",
+    }

@@ -40,7 +40,10 @@ def test_3d_panels_show_the_recorded_points_poses_and_markers(
     (day / "real.bag").write_bytes((RECORDINGS / _REAL).read_bytes())
     ids = _upload(shared_cluster, day)
     shapes = ids["shapes.mcap"]
-    drive, real = _first_cloud(day / "drive.mcap", "/lidar/points"), _first_cloud(day / "real.bag", "/luminar_pointcloud")
+    drive, real = (
+        _first_cloud(day / "drive.mcap", "/lidar/points"),
+        _first_cloud(day / "real.bag", "/luminar_pointcloud"),
+    )
     utm = scene_recording.utm_points()
     views = [
         _view("drive", ids["drive.mcap"], drive[0], ["/lidar/points"], len(drive[1])),
@@ -125,7 +128,9 @@ def _assert_points(view: dict[str, Any], cloud: NDArray[Any], *, topic: int = 0,
     xyz = np.stack([cloud[axis].astype(np.float64) for axis in "xyz"], axis=-1).reshape(-1, 3)
     finite = xyz[np.isfinite(xyz).all(axis=1)]
     assert int(row["points"]) == len(finite)
-    np.testing.assert_allclose(json.loads(row["bounds"]), [finite.min(axis=0), finite.max(axis=0)], rtol=0, atol=rounding_m)
+    np.testing.assert_allclose(
+        json.loads(row["bounds"]), [finite.min(axis=0), finite.max(axis=0)], rtol=0, atol=rounding_m
+    )
     shown = np.array(json.loads(row["first"])).reshape(-1, 3)
     offset = finite[0] if np.abs(finite[0]).max() > 8192 else 0
     np.testing.assert_allclose(shown, finite[:3] - offset, rtol=0, atol=max(rounding_m, 1e-6))

@@ -3,6 +3,7 @@ import { colourFieldOf, colourFields, sharesOf } from "./colour_fields";
 import { colourTable, type ColourMap } from "./colour_maps";
 import { fixedFrameOf, placed, type TopicContent } from "./placement";
 import { sceneSettings, topicSettings, withOption, withoutTopic, withSceneOption } from "./settings";
+import { defaultLayout, kindsFor } from "../panels";
 import { panelOf, panelText, type Panel } from "../layout";
 import type { Marker } from "@/recordings/geometry/markers";
 import { PointCollector, type PointSet } from "@/recordings/geometry/points";
@@ -38,6 +39,16 @@ function driving(): TransformBuffer {
   buffer.add({ parent: "base", child: "lidar", stampSeconds: 0, pose: at(0.5) }, true, 0);
   return buffer;
 }
+
+describe("the panel", () => {
+  it("shows one cloud at first, and is offered for other types", () => {
+    const topic = (name: string, messageType: string) => ({ recording: "a", name, messageType, count: 10, firstNs: 0, density: [] });
+    const shown = defaultLayout([topic("/scan", "sensor_msgs/LaserScan"), topic("/points", "sensor_msgs/msg/PointCloud2"), topic("/odom", "nav_msgs/Odometry")]);
+    expect(shown.filter(({ kind }) => kind === "scene").map(({ series }) => series[0]?.topic)).toEqual(["/points"]);
+    expect(kindsFor(topic("/odom", "nav_msgs/msg/Odometry")).map(({ kind }) => kind)).toContain("scene");
+    expect(kindsFor(topic("/imu", "sensor_msgs/Imu")).map(({ kind }) => kind)).not.toContain("scene");
+  });
+});
 
 describe("settings", () => {
   it("come back from the address", () => {
