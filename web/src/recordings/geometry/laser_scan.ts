@@ -2,7 +2,7 @@
 
 import type { Value } from "../decoding/decoder";
 import { ReadFailure } from "../failures";
-import { PointCollector, strideOf, type PointSet } from "./points";
+import { pointSetOf, strideOf, type PointSet } from "./points";
 import { numberOf, numbersOf, part } from "./values";
 
 /** Return the points of a scan; ranges outside of its limits are not measured.
@@ -18,16 +18,18 @@ export function laserScan(message: Value): PointSet {
   const [least, greatest] = [numberOf(part(message, "range_min")), numberOf(part(message, "range_max"))];
   const hasIntensities = intensities.length > 0 && intensities.length === ranges.length;
   const stride = strideOf(ranges.length);
-  const names = hasIntensities ? ["range", "intensity"] : ["range"];
-  const collector = new PointCollector(Math.ceil(ranges.length / stride), names);
-  for (let number = 0; number < ranges.length; number += stride) {
+  const count = Math.ceil(ranges.length / stride);
+  const [x, y, z] = [new Float64Array(count), new Float64Array(count), new Float64Array(count)];
+  const [range, intensity] = [new Float32Array(count), new Float32Array(count)];
+  for (let place = 0; place < count; place += 1) {
+    const number = place * stride;
     const measured = ranges[number] ?? Number.NaN;
-    const range = measured < least || measured > greatest ? Number.NaN : measured;
-    const angle = start + number * step;
-    const place = collector.add(range * Math.cos(angle), range * Math.sin(angle), 0);
-    if (place === null) continue;
-    collector.setValue(place, 0, range);
-    if (hasIntensities) collector.setValue(place, 1, intensities[number] ?? Number.NaN);
+    const distance = measured < least || measured > greatest ? Number.NaN : measured;
+    x[place] = distance * Math.cos(start + number * step);
+    y[place] = distance * Math.sin(start + number * step);
+    range[place] = distance;
+    intensity[place] = hasIntensities ? (intensities[number] ?? Number.NaN) : Number.NaN;
   }
-  return collector.points(ranges.length);
+  const channels = [{ name: "range", values: range }, ...(hasIntensities ? [{ name: "intensity", values: intensity }] : [])];
+  return pointSetOf({ x, y, z, channels, colours: null }, ranges.length);
 }

@@ -6,22 +6,24 @@
 import type { Value } from "../decoding/decoder";
 import { ReadFailure } from "../failures";
 import { IDENTITY, type Pose } from "./poses";
-import { PointCollector, strideOf, type PointSet } from "./points";
+import { pointSetOf, strideOf, type PointColumns, type PointSet } from "./points";
 import { bytesOf, countOf, listOf, numberOf, part, poseOf, textOf } from "./values";
 
 interface NumberKind {
   readonly bytes: number;
   readonly get: (view: DataView, at: number, isLittle: boolean) => number;
+  /** The numbers of a buffer in the byte order of this machine, which is little endian wherever browsers run. */
+  readonly array: (buffer: ArrayBuffer) => ArrayLike<number>;
 }
 
-const INT8: NumberKind = { bytes: 1, get: (view, at) => view.getInt8(at) };
-const UINT8: NumberKind = { bytes: 1, get: (view, at) => view.getUint8(at) };
-const INT16: NumberKind = { bytes: 2, get: (view, at, isLittle) => view.getInt16(at, isLittle) };
-const UINT16: NumberKind = { bytes: 2, get: (view, at, isLittle) => view.getUint16(at, isLittle) };
-const INT32: NumberKind = { bytes: 4, get: (view, at, isLittle) => view.getInt32(at, isLittle) };
-const UINT32: NumberKind = { bytes: 4, get: (view, at, isLittle) => view.getUint32(at, isLittle) };
-const FLOAT32: NumberKind = { bytes: 4, get: (view, at, isLittle) => view.getFloat32(at, isLittle) };
-const FLOAT64: NumberKind = { bytes: 8, get: (view, at, isLittle) => view.getFloat64(at, isLittle) };
+const INT8: NumberKind = { bytes: 1, get: (view, at) => view.getInt8(at), array: (buffer) => new Int8Array(buffer) };
+const UINT8: NumberKind = { bytes: 1, get: (view, at) => view.getUint8(at), array: (buffer) => new Uint8Array(buffer) };
+const INT16: NumberKind = { bytes: 2, get: (view, at, isLittle) => view.getInt16(at, isLittle), array: (buffer) => new Int16Array(buffer) };
+const UINT16: NumberKind = { bytes: 2, get: (view, at, isLittle) => view.getUint16(at, isLittle), array: (buffer) => new Uint16Array(buffer) };
+const INT32: NumberKind = { bytes: 4, get: (view, at, isLittle) => view.getInt32(at, isLittle), array: (buffer) => new Int32Array(buffer) };
+const UINT32: NumberKind = { bytes: 4, get: (view, at, isLittle) => view.getUint32(at, isLittle), array: (buffer) => new Uint32Array(buffer) };
+const FLOAT32: NumberKind = { bytes: 4, get: (view, at, isLittle) => view.getFloat32(at, isLittle), array: (buffer) => new Float32Array(buffer) };
+const FLOAT64: NumberKind = { bytes: 8, get: (view, at, isLittle) => view.getFloat64(at, isLittle), array: (buffer) => new Float64Array(buffer) };
 
 /** By `PointField.datatype`, which begins at 1. */
 const ROS_KINDS: readonly NumberKind[] = [INT8, UINT8, INT16, UINT16, INT32, UINT32, FLOAT32, FLOAT64];
@@ -102,10 +104,12 @@ function fieldOf(field: Value, kind: NumberKind | undefined): readonly PointFiel
   return [{ name: textOf(part(field, "name")), offset, kind }];
 }
 
+const NO_POINTS: PointColumns = { x: new Float64Array(), y: new Float64Array(), z: new Float64Array(), channels: [], colours: null };
+
 function pointsOf(layout: Layout): PointSet {
   const { fields, pointStep, width, height } = layout;
   const total = width * height;
-  if (total === 0) return new PointCollector(0, []).points(0);
+  if (total === 0) return pointSetOf(NO_POINTS, 0);
   if (!Number.isSafeInteger(total)) throw new ReadFailure("cloud_unreadable", `${width} × ${height} points`);
   const inside = fields.filter(({ offset, kind }) => offset + kind.bytes <= pointStep);
   const [x, y, z] = AXES.map((axis) => inside.find(({ name }) => name === axis));
@@ -139,21 +143,52 @@ interface ReadFields {
   readonly colour: PointField | undefined;
 }
 
+/** Reads field by field: a loop over numbers of one type takes a tenth of one over points. */
 function read(layout: Layout, available: number, { x, y, z, channels, colour }: ReadFields): PointSet {
-  const { data, isLittle, width, height, rowStep, pointStep } = layout;
-  const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
-  const stride = strideOf(available);
-  const collector = new PointCollector(Math.ceil(available / stride), channels.map(({ name }) => name), colour?.name ?? null);
-  const value = (field: PointField, at: number): number => field.kind.get(view, at + field.offset, isLittle);
-  for (let number = 0; number < available; number += stride) {
-    const at = Math.floor(number / width) * rowStep + (number % width) * pointStep;
-    const place = collector.add(value(x, at), value(y, at), z === undefined ? 0 : value(z, at));
-    if (place === null) continue;
-    channels.forEach((field, channel) => collector.setValue(place, channel, value(field, at)));
-    if (colour === undefined) continue;
-    const packed = view.getUint32(at + colour.offset, isLittle);
-    collector.setColour(place, (packed >> 16) & 0xff, (packed >> 8) & 0xff, packed & 0xff);
+  const starts = startsOf(layout, available, strideOf(available));
+  const bytes = alignedBytes(layout);
+  const column = <Column extends Float64Array | Float32Array<ArrayBuffer> | Uint32Array>(field: PointField, into: Column): Column => {
+    readColumn(layout, bytes, field, starts, into);
+    return into;
+  };
+  const doubles = (field: PointField | undefined): Float64Array => (field === undefined ? new Float64Array(starts.length) : column(field, new Float64Array(starts.length)));
+  const columns = {
+    x: doubles(x),
+    y: doubles(y),
+    z: doubles(z),
+    channels: channels.map((field) => ({ name: field.name, values: column(field, new Float32Array(starts.length)) })),
+    colours: colour === undefined ? null : { name: colour.name, packed: column({ ...colour, kind: UINT32 }, new Uint32Array(starts.length)) },
+  };
+  const total = layout.width * layout.height;
+  return pointSetOf(columns, total, total - available);
+}
+
+/** Return where the points begin in the data. */
+function startsOf({ width, rowStep, pointStep }: Layout, available: number, stride: number): Uint32Array {
+  const starts = new Uint32Array(Math.ceil(available / stride));
+  for (let place = 0; place < starts.length; place += 1) {
+    const number = place * stride;
+    const row = Math.floor(number / width);
+    starts[place] = row * rowStep + (number - row * width) * pointStep;
   }
-  const total = width * height;
-  return collector.points(total, total - available);
+  return starts;
+}
+
+/** Return the data in a buffer whose length is divisible by that of every number. */
+function alignedBytes({ data }: Layout): ArrayBuffer {
+  const bytes = new Uint8Array(8 * Math.ceil(data.length / 8));
+  bytes.set(data);
+  return bytes.buffer;
+}
+
+function readColumn(layout: Layout, bytes: ArrayBuffer, { offset, kind }: PointField, starts: Uint32Array, into: Float64Array | Float32Array | Uint32Array): void {
+  const { isLittle, rowStep, pointStep } = layout;
+  const isAligned = isLittle && [offset, rowStep, pointStep].every((distance) => distance % kind.bytes === 0);
+  if (isAligned) {
+    const numbers = kind.array(bytes);
+    for (let place = 0; place < starts.length; place += 1) into[place] = numbers[((starts[place] as number) + offset) / kind.bytes] as number;
+  } else {
+    const view = new DataView(bytes);
+    for (let place = 0; place < starts.length; place += 1) into[place] = kind.get(view, (starts[place] as number) + offset, isLittle);
+  }
 }

@@ -40,72 +40,76 @@ export function strideOf(totalPoints: number): number {
   return Math.max(1, Math.ceil(totalPoints / MAX_POINTS));
 }
 
-/** Collects points and their values, without those that have no finite position. */
-export class PointCollector {
-  private readonly positions: Float32Array<ArrayBuffer>;
-  private readonly values: readonly Float32Array<ArrayBuffer>[];
-  private readonly rgb: Uint8Array<ArrayBuffer> | null;
-  private readonly least: [number, number, number] = [Infinity, Infinity, Infinity];
-  private readonly greatest: [number, number, number] = [-Infinity, -Infinity, -Infinity];
-  private origin: Vector = [0, 0, 0];
-  private count = 0;
-  private invalid = 0;
+/** Points as columns of equal length, in metres. */
+export interface PointColumns {
+  readonly x: Float64Array;
+  readonly y: Float64Array;
+  readonly z: Float64Array;
+  readonly channels: readonly { readonly name: string; readonly values: Float32Array<ArrayBuffer> }[];
+  /** Colours as 0xRRGGBB; null where the points have none. */
+  readonly colours: { readonly name: string; readonly packed: Uint32Array } | null;
+}
 
-  /** `capacity`: the points that come at most. */
-  constructor(capacity: number, private readonly names: readonly string[], private readonly colourName: string | null = null) {
-    this.positions = new Float32Array(3 * capacity);
-    this.values = names.map(() => new Float32Array(capacity));
-    this.rgb = colourName === null ? null : new Uint8Array(3 * capacity);
+/** Return the points that have a finite position. `totalPoints`: of the message. */
+export function pointSetOf(columns: PointColumns, totalPoints: number, missingPoints = 0): PointSet {
+  const places = finitePlaces(columns);
+  const { positions, origin, bounds } = positionsOf(columns, places);
+  const isWhole = places.length === columns.x.length;
+  const channels = columns.channels.map(({ name, values }): PointChannel => {
+    const visible = isWhole ? values : selected(values, places);
+    return { name, values: visible, range: rangeOf(visible) };
+  });
+  const colours = columns.colours === null ? null : { name: columns.colours.name, rgb: unpacked(columns.colours.packed, places) };
+  return { positions, origin, bounds, channels, colours, totalPoints, invalidPoints: columns.x.length - places.length, missingPoints };
+}
+
+/** Return the numbers of the points with a finite position. */
+function finitePlaces({ x, y, z }: PointColumns): Uint32Array {
+  const places = new Uint32Array(x.length);
+  let count = 0;
+  for (let place = 0; place < x.length; place += 1) {
+    if (!Number.isFinite((x[place] as number) + (y[place] as number) + (z[place] as number))) continue;
+    places[count] = place;
+    count += 1;
   }
+  return places.subarray(0, count);
+}
 
-  /** Add a point; returns its place, or null where it has no finite position. */
-  add(x: number, y: number, z: number): number | null {
-    if (!Number.isFinite(x + y + z)) {
-      this.invalid += 1;
-      return null;
+function positionsOf({ x, y, z }: PointColumns, places: Uint32Array): Pick<PointSet, "positions" | "origin" | "bounds"> {
+  const positions = new Float32Array(3 * places.length);
+  const first = places[0] ?? 0;
+  const start = [x[first] ?? 0, y[first] ?? 0, z[first] ?? 0] as const;
+  const origin: Vector = places.length > 0 && Math.max(...start.map(Math.abs)) > FAR_M ? start : [0, 0, 0];
+  const bounds = [x, y, z].map((column, axis) => {
+    const offset = origin[axis] as number;
+    let [least, greatest] = [Infinity, -Infinity];
+    for (let number = 0; number < places.length; number += 1) {
+      const value = column[places[number] as number] as number;
+      positions[3 * number + axis] = value - offset;
+      if (value < least) least = value;
+      if (value > greatest) greatest = value;
     }
-    if (this.count === 0 && Math.max(Math.abs(x), Math.abs(y), Math.abs(z)) > FAR_M) this.origin = [x, y, z];
-    const place = this.count;
-    this.count += 1;
-    this.positions[3 * place] = x - this.origin[0];
-    this.positions[3 * place + 1] = y - this.origin[1];
-    this.positions[3 * place + 2] = z - this.origin[2];
-    this.extend(0, x);
-    this.extend(1, y);
-    this.extend(2, z);
-    return place;
-  }
+    return [least, greatest] as const;
+  });
+  const [bx, by, bz] = bounds as [readonly [number, number], readonly [number, number], readonly [number, number]];
+  return { positions, origin, bounds: places.length === 0 ? null : [[bx[0], by[0], bz[0]], [bx[1], by[1], bz[1]]] };
+}
 
-  setValue(place: number, channel: number, value: number): void {
-    const values = this.values[channel];
-    if (values !== undefined) values[place] = value;
-  }
+function selected(values: Float32Array, places: Uint32Array): Float32Array<ArrayBuffer> {
+  const visible = new Float32Array(places.length);
+  for (let number = 0; number < places.length; number += 1) visible[number] = values[places[number] as number] as number;
+  return visible;
+}
 
-  setColour(place: number, red: number, green: number, blue: number): void {
-    this.rgb?.set([red, green, blue], 3 * place);
+function unpacked(packed: Uint32Array, places: Uint32Array): Uint8Array<ArrayBuffer> {
+  const rgb = new Uint8Array(3 * places.length);
+  for (let number = 0; number < places.length; number += 1) {
+    const colour = packed[places[number] as number] as number;
+    rgb[3 * number] = colour >> 16;
+    rgb[3 * number + 1] = colour >> 8;
+    rgb[3 * number + 2] = colour;
   }
-
-  points(totalPoints: number, missingPoints = 0): PointSet {
-    const channels = this.names.map((name, number): PointChannel => {
-      const values = (this.values[number] as Float32Array<ArrayBuffer>).slice(0, this.count);
-      return { name, values, range: rangeOf(values) };
-    });
-    return {
-      positions: this.positions.slice(0, 3 * this.count),
-      origin: this.origin,
-      bounds: this.count === 0 ? null : [[...this.least], [...this.greatest]],
-      channels,
-      colours: this.colourName === null || this.rgb === null ? null : { name: this.colourName, rgb: this.rgb.slice(0, 3 * this.count) },
-      totalPoints,
-      invalidPoints: this.invalid,
-      missingPoints,
-    };
-  }
-
-  private extend(axis: 0 | 1 | 2, value: number): void {
-    if (value < this.least[axis]) this.least[axis] = value;
-    if (value > this.greatest[axis]) this.greatest[axis] = value;
-  }
+  return rgb;
 }
 
 /** Return the least and the greatest finite value; null where there is none. */

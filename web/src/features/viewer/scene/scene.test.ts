@@ -6,7 +6,7 @@ import { sceneSettings, topicSettings, withOption, withoutTopic, withSceneOption
 import { defaultLayout, kindsFor } from "../panels";
 import { panelOf, panelText, type Panel } from "../layout";
 import type { Marker } from "@/recordings/geometry/markers";
-import { PointCollector, type PointSet } from "@/recordings/geometry/points";
+import { pointSetOf, type PointSet } from "@/recordings/geometry/points";
 import { IDENTITY, type Pose } from "@/recordings/geometry/poses";
 import { TransformBuffer } from "@/recordings/geometry/transform_buffer";
 
@@ -15,12 +15,9 @@ const SCAN = { recording: "04cf00a6", topic: "/scan", fields: [] };
 const PANEL: Panel = { kind: "scene", isWide: false, series: [CLOUD, SCAN] };
 
 function pointSet(values: readonly number[]): PointSet {
-  const collector = new PointCollector(values.length, ["intensity"]);
-  values.forEach((value, place) => {
-    collector.add(place, -place, 0);
-    collector.setValue(place, 0, value);
-  });
-  return collector.points(values.length);
+  const column = (value: (place: number) => number) => Float64Array.from(values, (_, place) => value(place));
+  const channels = [{ name: "intensity", values: Float32Array.from(values) }];
+  return pointSetOf({ x: column((place) => place), y: column((place) => -place), z: column(() => 0), channels, colours: null }, values.length);
 }
 
 function content(frame: string, stampSeconds: number | null, markers: readonly Marker[] = []): TopicContent {
