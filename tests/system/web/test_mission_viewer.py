@@ -66,7 +66,8 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
     )
 
     assert [results[name] for name in ("consoleErrors", "axe", "overflowing", "executed")] == [[], [], [], []]
-    first_row, others = [f"Image: {_CAMERA}", "3D: /lidar/points"], [f"Plot: {_IMU}", f"Raw messages: {_IMU}", "Log: /log"]
+    first_row = [f"Image: {_CAMERA}", "3D: /lidar/points"]
+    others = [f"Plot: {_IMU}", f"Raw messages: {_IMU}", "Log: /log"]
     assert results["defaults"] == [*first_row, *others]
     _assert_formats(results["later"], paths, later_ns)
     imu_count = next(topic.count for topic in mcap.topics if topic.name == _IMU)

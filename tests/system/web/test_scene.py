@@ -16,11 +16,11 @@ from tests.acceptance.conftest import wait_until
 from tests.conftest import RECORDINGS
 from tests.requirements import missing
 from tests.system.cluster import Cluster
-from tests.system.web import scene_recording
+from tests.system.web import scene_messages
 from tests.system.web.conftest import RunBrowser
 
 _REAL = "ros1/embag_pointcloud2_laserscan_odom_lz4.bag"
-_TIME_NS = scene_recording.START_NS + 4 * scene_recording.SECOND_NS
+_TIME_NS = scene_messages.START_NS + 4 * scene_messages.SECOND_NS
 _MAX_POINTS = 300_000
 _PICTURED = ("drive", "real", "shapes", "utm", "large", "settings")
 _BACKGROUND_COLOURS = 20
@@ -36,7 +36,7 @@ def test_3d_panels_show_the_recorded_points_poses_and_markers(
     day = tmp_path / "day"
     day.mkdir()
     generate_mcap(day / "drive.mcap", size_bytes=10_000_000)
-    scene_recording.write_shapes(day / "shapes.mcap")
+    scene_messages.write_shapes(day / "shapes.mcap")
     (day / "real.bag").write_bytes((RECORDINGS / _REAL).read_bytes())
     ids = _upload(shared_cluster, day)
     shapes = ids["shapes.mcap"]
@@ -44,16 +44,16 @@ def test_3d_panels_show_the_recorded_points_poses_and_markers(
         _first_cloud(day / "drive.mcap", "/lidar/points"),
         _first_cloud(day / "real.bag", "/luminar_pointcloud"),
     )
-    utm = scene_recording.utm_points()
+    utm = scene_messages.utm_points()
     views = [
         _view("drive", ids["drive.mcap"], drive[0], ["/lidar/points"], len(drive[1])),
         _view("real", ids["real.bag"], real[0], ["/luminar_pointcloud"], len(real[1])),
         _view("shapes", shapes, _TIME_NS, ["/shapes", "/path", "/grid", "/pose", "/colours"], 95, items=16),
         _view("utm", shapes, _TIME_NS, ["/utm"], 400),
-        _view("large", shapes, _TIME_NS, ["/large"], _shown_points(scene_recording.LARGE_CLOUD_POINTS)),
+        _view("large", shapes, _TIME_NS, ["/large"], _shown_points(scene_messages.LARGE_CLOUD_POINTS)),
         _view("cut", shapes, _TIME_NS, ["/cut"], 79),
         _view("missing", shapes, _TIME_NS, ["/colours", "/utm", "/looping"], 95, missing=2),
-        _view("deleted", shapes, _TIME_NS + 2 * scene_recording.SECOND_NS, ["/shapes"], 0, items=11),
+        _view("deleted", shapes, _TIME_NS + 2 * scene_messages.SECOND_NS, ["/shapes"], 0, items=11),
         _view("settings", shapes, _TIME_NS, ["/colours"], 95, has_settings=True),
     ]
     results = run_browser("scene.mjs", shared_cluster, pictures, json.dumps(views), timeout_s=280)
@@ -95,7 +95,7 @@ def _assert_shapes(view: dict[str, Any]) -> None:
     assert "120 poses" in path["text"]
     assert "2,400 cells" in grid["text"]
     assert "1 without a finite position" in colours["text"]
-    _assert_points(view, scene_recording.coloured_points(), topic=4)
+    _assert_points(view, scene_messages.coloured_points(), topic=4)
 
 
 def _upload(cluster: Cluster, day: Path) -> dict[str, str]:
