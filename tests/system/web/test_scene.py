@@ -91,7 +91,7 @@ def _assert_shapes(view: dict[str, Any]) -> None:
     assert (view["fixedFrame"], view["items"]) == ("map", 12 + 4), "the markers, a path, a grid, a pose and a cloud"
     assert view["label"].endswith("95 points, 15 objects")
     assert markers["markers"] == "12"
-    assert "1 mesh shown as boxes" in markers["text"]
+    assert "1 mesh shown as a box" in markers["text"]
     assert "120 poses" in path["text"]
     assert "2,400 cells" in grid["text"]
     assert "1 without a finite position" in colours["text"]

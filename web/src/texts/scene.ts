@@ -35,7 +35,7 @@ export const texts = {
   missingPoints: (count: string) => `The message is cut off: ${count} missing`,
   poses: (count: number, isPath: boolean, invalid: number) => `${isPath ? "Path of " : ""}${counted(count, "pose")}${invalid > 0 ? `, ${invalid} not usable` : ""}`,
   cells: (total: number, drawn: number) => (drawn < total ? `${formatCount(drawn)} of ${counted(total, "cell")} drawn` : counted(total, "cell")),
-  markers: (count: number, meshes: number) => `${counted(count, "marker")}${meshes > 0 ? `, ${counted(meshes, "mesh").replace(/meshs$/, "meshes")} shown as boxes` : ""}`,
+  markers: (count: number, meshes: number) => `${counted(count, "marker")}${meshes > 0 ? `, ${meshes === 1 ? "1 mesh shown as a box" : `${meshes} meshes shown as boxes`}` : ""}`,
 
   fixedFrame: "Fixed frame",
   automatic: (frame: string) => (frame === "" ? "Automatic" : `Automatic (${frame})`),
