@@ -107,7 +107,7 @@ def _transform(parent: str, child: str, stamp_ns: int, position: tuple[float, fl
 
 
 def _cloud(frame: str, stamp_ns: int, points: NDArray[Any]) -> dict[str, Any]:
-    layout = points.dtype.fields or {}
+    layout: Mapping[str, Any] = points.dtype.fields or {}
     fields = [
         {"name": name, "offset": field[1], "datatype": _datatype(field[0]), "count": 1}
         for name, field in layout.items()
