@@ -305,6 +305,8 @@ await checkPage(page, "mission-access", { path: ofMission("tab=access"), expecte
 await checkPage(page, "file-recording", { path: `/files/${ids.recording}`, expectedTexts: [texts.recording, texts.topic, texts.type, texts.label] });
 await checkPage(page, "file-drive", { path: `/files/${ids.drive}`, ready: "[data-log-time]" });
 await checkPage(page, "file-plot", { path: `/files/${ids.drive}?topic=/imu/data`, ready: "[data-plot-viewer][data-messages]" });
+await checkPage(page, "file-view", { path: `/files/${ids.drive}/view`, ready: "[data-plot][data-messages]" });
+await checkPage(page, "mission-view", { path: `/missions/${ids.mission}/view`, ready: "[data-panel]" });
 await checkPage(page, "file-broken", { path: `/files/${ids.broken}`, expectedTexts: [texts.broken] });
 await checkPage(page, "file-text", { path: `/files/${ids.text}`, expectedTexts: [texts.text] });
 await checkPage(page, "mission-runs", { path: ofMission("tab=runs"), expectedTexts: [texts.action] });

@@ -42,6 +42,11 @@ function isTyping(target: EventTarget | null): boolean {
   return target instanceof HTMLInputElement && !["checkbox", "radio", "button", "submit"].includes(target.type);
 }
 
+/** Whether the space bar presses what has the focus. */
+function isPressable(target: EventTarget | null): boolean {
+  return target instanceof HTMLElement && target.matches("a, button, summary, input, [role=button]");
+}
+
 /** Returns the name of a key press: `n`, `mod+k`, or `g p` if `before` is the first key of a pair. */
 export function nameOf(event: Pick<KeyboardEvent, "key" | "ctrlKey" | "metaKey" | "altKey">, before: string): string {
   if (event.altKey) return "";
@@ -57,6 +62,7 @@ function onKey(event: KeyboardEvent): void {
   const isWithCtrl = name.startsWith("mod+");
   const isDialogOpen = document.querySelector("dialog[open]") !== null;
   if (!isWithCtrl && (!areShortcutsOn.value || isTyping(event.target) || isDialogOpen)) return;
+  if (name === " " && isPressable(event.target)) return;
   const match = shortcuts.findLast((shortcut) => shortcut.keys === name);
   if (match !== undefined) {
     event.preventDefault();

@@ -13,7 +13,7 @@ const COUNT = 1000;
 const VECTOR = "float64 x\n";
 const timeOf = (number: number): bigint => 1_700_000_000_000_000_000n + BigInt(number) * 10_000_000n;
 const ALL: CurvesRequest = { topic: "/wave", fields: ["x"], fromNs: 0n, toNs: timeOf(COUNT), maxBytes: Infinity };
-const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
+const quiet = { pause: () => Promise.resolve(), onCurves: () => undefined };
 
 function mcap(): Promise<Uint8Array> {
   const writer = new Ros2Writer(parse(VECTOR, { ros2: true }));
@@ -115,7 +115,7 @@ describe("a file that is compressed as a whole", () => {
 
   it("says what to do instead where it is too large to hold", async () => {
     const packed = zstd(await mcap());
-    const source = { sizeBytes: MAX_WHOLE_PACKED + 1, ahead: 0, read: (at: number, length: number) => Promise.resolve(packed.subarray(at, at + length)) };
+    const source = { sizeBytes: MAX_WHOLE_PACKED + 1, ahead: 0, bytesRead: 0, read: (at: number, length: number) => Promise.resolve(packed.subarray(at, at + length)) };
     await expect(openRecording("mcap", source)).rejects.toThrow(/compressed_whole/);
   });
 

@@ -73,7 +73,7 @@ describe("a rosbag2 database", () => {
     const session = new Session(await openRecording("db3", storeOf(file).ranges));
     expect((await session.fields("/own")).fields.map(({ path }) => path)).toEqual(["value"]);
     // Jazzy has one field more than Humble.
-    const curves = await session.curves({ topic: "/range", fields: ["max_range"], fromNs: 0n, toNs: 9n, maxBytes: 1e6 }, { signal: new AbortController().signal, onCurves: () => undefined });
+    const curves = await session.curves({ topic: "/range", fields: ["max_range"], fromNs: 0n, toNs: 9n, maxBytes: 1e6 }, { pause: () => Promise.resolve(), onCurves: () => undefined });
     expect([curves.messages, curves.damaged]).toEqual([2, []]);
     await expect(session.fields("/other")).rejects.toMatchObject({ code: "definition_missing", detail: "own_msgs/msg/Other" });
   });

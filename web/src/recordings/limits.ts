@@ -6,6 +6,10 @@ const MIB = 2 ** 20;
 export const BLOCK = 128 * 1024;
 /** What the cache keeps of one recording. */
 export const MAX_CACHED = 48 * MIB;
+/** What the decompressed chunks of one recording take up in memory, and those of all that are open at once. */
+export const MAX_CHUNK_CACHE = 64 * MIB;
+export const MAX_CHUNK_CACHES = 256 * MIB;
+export const MAX_CHUNK_CACHES_ON_PHONES = 96 * MIB;
 /** The longest piece that is read at once: an index, or a chunk with its index. */
 export const MAX_READ_AT_ONCE = 96 * MIB;
 /** The largest chunk once it is decompressed. */
@@ -23,6 +27,17 @@ export const READ_AHEAD = 4 * MIB;
 export const MAX_BYTES_UNCONFIRMED = 32 * MIB;
 /** The largest picture, in pixels. */
 export const MAX_PIXELS = 64 * 1_000_000;
+/** Points of one message that are drawn; of more, every n-th. */
+export const MAX_POINTS = 300_000;
+/** Cells of an occupancy grid that are drawn. */
+export const MAX_GRID_CELLS = 2_000_000;
+/** Markers of a topic, and points of all markers of a message. */
+export const MAX_MARKERS = 5_000;
+export const MAX_MARKER_POINTS = 100_000;
+/** Transforms of one message, frames of a recording, and transforms of a frame at different times. */
+export const MAX_TRANSFORMS = 2_000;
+export const MAX_FRAMES = 5_000;
+export const MAX_TRANSFORM_SAMPLES = 20_000;
 /** Values inside one message that are decoded, such as elements of arrays of messages. */
 export const MAX_VALUES = 200_000;
 /** How deep messages may nest. */
@@ -35,6 +50,8 @@ export const MAX_ELEMENTS = 16;
 export const MAX_FIELDS = 600;
 /** A slice that a browser keeps in memory, because it cannot write a file. */
 export const MAX_SLICE_IN_MEMORY = 1_000_000_000;
+/** Messages of one answer. */
+export const MAX_MESSAGES_AT_ONCE = 20_000;
 /** Curves in one plot. */
 export const MAX_CURVES = 6;
 /** The store must send something within this time. */

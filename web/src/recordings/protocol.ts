@@ -3,6 +3,7 @@
 import type { Curves } from "./curves/curves";
 import type { FieldNode } from "./decoding/fields";
 import type { FailureCode } from "./failures";
+import type { MessageRequest, MessagesRequest, ReadMessage } from "./products/products";
 import type { Address } from "./ranges";
 import type { SliceRequest, SliceResult } from "./slices/slice";
 
@@ -14,13 +15,8 @@ export type ReadableFormat = (typeof READABLE_FORMATS)[number];
 export interface RecordingFile {
   format: ReadableFormat;
   sizeBytes: number;
-}
-
-/** Which picture: the first at or after `atNs` (the last before it where there is none), or its neighbours. */
-export interface PictureRequest {
-  topic: string;
-  atNs: bigint;
-  step: "here" | "next" | "previous";
+  /** Decompressed chunks that stay in memory; `MAX_CHUNK_CACHE` if absent. */
+  cacheBytes?: number;
 }
 
 export interface CurvesRequest {
@@ -28,7 +24,7 @@ export interface CurvesRequest {
   fields: string[];
   fromNs: bigint;
   toNs: bigint;
-  /** Byte limit; a recording that needs more is shown up to the time that the limit hasRight. */
+  /** Byte limit; a recording that needs more is shown up to the time that the limit permits. */
   maxBytes: number;
 }
 
@@ -46,15 +42,19 @@ export interface DamagedPart {
   toSeconds: number;
 }
 
-export interface ShownPicture {
-  logTimeNs: bigint;
-  bitmap: ImageBitmap;
-  width: number;
-  height: number;
-  /** How it is written: "image/jpeg", "rgb8" … */
-  encoding: string;
-  range: [number, number] | null;
+export interface FoundMessage {
+  /** Null where there is none. */
+  message: ReadMessage | null;
+  /** How far it was searched, where the byte limit ended the search; else null. */
+  searchedToNs: bigint | null;
   /** Parts that were passed over on the way to it. */
+  damaged: DamagedPart[];
+}
+
+export interface ReadMessages {
+  messages: ReadMessage[];
+  /** The end of what was read: the end of the request, or less where a limit was reached. */
+  untilNs: bigint;
   damaged: DamagedPart[];
 }
 
@@ -88,7 +88,8 @@ export interface SliceProgress {
 /** Requests of the page by kind, each with its answer. A viewer that needs other data adds its kind here. */
 export interface Requests {
   open: { request: RecordingFile; answer: Opened };
-  picture: { request: PictureRequest; answer: ShownPicture };
+  message: { request: MessageRequest; answer: FoundMessage };
+  messages: { request: MessagesRequest; answer: ReadMessages };
   fields: { request: { topic: string }; answer: OfferedFields };
   curves: { request: CurvesRequest; answer: DrawnCurves };
   slice: { request: SliceOrder; answer: MadeSlice };
@@ -99,7 +100,7 @@ export type Answer<K extends RequestKind = RequestKind> = Requests[K]["answer"];
 export type Request = { [K in RequestKind]: { kind: K } & Requests[K]["request"] }[RequestKind];
 
 export type ToWorker =
-  | { type: "request"; id: number; request: Request }
+  | { type: "request"; id: number; priority: number; request: Request }
   | { type: "cancel"; id: number }
   | { type: "address"; id: number; address: Address | null; reason: FailureCode };
 

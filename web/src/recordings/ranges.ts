@@ -18,6 +18,8 @@ export interface ByteSource {
 /** A source that reads at least `ahead` bytes at once, for sequential reads. */
 export interface Source extends ByteSource {
   ahead: number;
+  /** Bytes that came over the network. */
+  readonly bytesRead: number;
 }
 
 export interface RangesOptions {

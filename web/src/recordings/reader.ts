@@ -2,7 +2,8 @@
 
 import { ReadFailure, type FailureCode } from "./failures";
 import { WORKER_TIMEOUT_MS } from "./limits";
-import type { Answer, DrawnCurves, FromWorker, RecordingFile, Request, RequestKind, Requests, SliceProgress, ToWorker } from "./protocol";
+import type { MessageRequest, MessagesRequest, ProductName, ReadMessage } from "./products/products";
+import type { Answer, DrawnCurves, FoundMessage, FromWorker, ReadMessages, RecordingFile, Request, RequestKind, Requests, SliceProgress, ToWorker } from "./protocol";
 import type { Address } from "./ranges";
 
 /** What of a Worker is used. */
@@ -32,9 +33,14 @@ interface Waiting {
 
 export interface RequestOptions {
   signal?: AbortSignal;
+  /** Requests that wait are served by ascending priority; a long one pauses for those below its own. */
+  priority?: number;
   onCurves?: (curves: DrawnCurves) => void;
   onSliced?: (progress: SliceProgress) => void;
 }
+
+export type MessageAnswer<P extends ProductName> = Omit<FoundMessage, "message"> & { message: ReadMessage<P> | null };
+export type MessagesAnswer<P extends ProductName> = Omit<ReadMessages, "messages"> & { messages: ReadMessage<P>[] };
 
 export class RecordingReader {
   private worker: WorkerLike | null = null;
@@ -60,19 +66,29 @@ export class RecordingReader {
     return this.send<K>({ kind, ...request } as unknown as Request, options);
   }
 
+  /** Find a message; its product has the type of the requested one. */
+  message<P extends ProductName>(request: MessageRequest<P>, options?: RequestOptions): Promise<MessageAnswer<P>> {
+    return this.request("message", request, options) as Promise<MessageAnswer<P>>;
+  }
+
+  /** Read the messages of a span; see `message`. */
+  messages<P extends ProductName>(request: MessagesRequest<P>, options?: RequestOptions): Promise<MessagesAnswer<P>> {
+    return this.request("messages", request, options) as Promise<MessagesAnswer<P>>;
+  }
+
   /** End the worker; pending requests are cancelled. */
   close(): void {
     this.end("cancelled");
   }
 
-  private send<K extends RequestKind>(request: Request, { signal, onCurves, onSliced }: RequestOptions): Promise<Answer<K>> {
+  private send<K extends RequestKind>(request: Request, { signal, priority = 0, onCurves, onSliced }: RequestOptions): Promise<Answer<K>> {
     if (signal?.aborted === true) return Promise.reject(new ReadFailure("cancelled"));
     const worker = this.started();
     const id = ++this.lastId;
     const cancel = (): void => worker.postMessage({ type: "cancel", id });
     signal?.addEventListener("abort", cancel, { once: true });
     const answer = new Promise<Answer<K>>((resolve, reject) => this.waiting.set(id, { resolve, reject, onCurves, onSliced }));
-    worker.postMessage({ type: "request", id, request });
+    worker.postMessage({ type: "request", id, priority, request });
     this.watchOver();
     return answer.finally(() => signal?.removeEventListener("abort", cancel));
   }

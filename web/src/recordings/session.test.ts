@@ -1,10 +1,12 @@
 import { parse } from "@foxglove/rosmsg";
 import { MessageWriter as Ros1Writer } from "@foxglove/rosmsg-serialization";
 import { MessageWriter as Ros2Writer } from "@foxglove/rosmsg2-serialization";
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, vi } from "vitest";
 import { ReadFailure } from "./failures";
 import { openRecording } from "./formats/open";
-import type { CurvesRequest, DrawnCurves } from "./protocol";
+import { pictureOf, type Picture } from "./pictures/picture";
+import { makers, type Which } from "./products/products";
+import type { CurvesRequest, DamagedPart } from "./protocol";
 import { Session } from "./session";
 import { madeBag, madeMcap, storeOf, type BagMessage, type MadeMessage } from "./testing/recordings";
 
@@ -77,10 +79,28 @@ function request(more: Partial<CurvesRequest> = {}): CurvesRequest {
   return { topic: "/wave", fields: ["x", "y"], fromNs: START, toNs: timeOf(COUNT), maxBytes: Infinity, ...more };
 }
 
-const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
+const quiet = { pause: () => Promise.resolve(), onCurves: () => undefined };
 
-function shade(shown: { picture: { kind: string; data: Uint8Array } }): number | undefined {
-  return shown.picture.data[0];
+/** The picture of a message, as the worker decodes it before it makes a bitmap. */
+async function pictureAt(session: Session, atNs: bigint, which: Which = "nearest", topic = "/camera"): Promise<{ logTimeNs: bigint; picture: Picture; damaged: DamagedPart[] } | null> {
+  const decoded: Picture[] = [];
+  vi.spyOn(makers, "picture").mockImplementation((_, decode) => {
+    decoded.push(pictureOf(decode()));
+    return null as never;
+  });
+  const { message, damaged } = await session.message({ topic, which, atNs, product: "picture", shownNs: null, maxBytes: Infinity });
+  const [picture] = decoded;
+  return message === null || picture === undefined ? null : { logTimeNs: message.logTimeNs, picture, damaged };
+}
+
+/** A clock that goes on by so many milliseconds each time. */
+function mockedClock(stepMs: number): () => number {
+  let now = 0;
+  return () => (now += stepMs);
+}
+
+function shade(shown: { picture: { data: Uint8Array } } | null): number | undefined {
+  return shown?.picture.data[0];
 }
 
 describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
@@ -93,15 +113,15 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
 
   it("shows the first picture at or after a time, and its neighbours", async () => {
     const { session } = await opened(format);
-    const at = (atNs: bigint, step: "here" | "next" | "previous") => session.picture({ topic: "/camera", atNs, step });
-    const first = await at(START, "here");
-    expect(first.logTimeNs).toBe(timeOf(300));
+    const at = (atNs: bigint, which: Which) => pictureAt(session, atNs, which);
+    const first = await at(START, "nearest");
+    expect(first?.logTimeNs).toBe(timeOf(300));
     expect(shade(first)).toBe(300 % 256);
-    expect((await at(timeOf(301), "here")).logTimeNs).toBe(timeOf(400));
-    expect((await at(timeOf(400), "next")).logTimeNs).toBe(timeOf(500));
-    expect((await at(timeOf(400), "previous")).logTimeNs).toBe(timeOf(300));
-    expect((await at(timeOf(300), "previous")).logTimeNs).toBe(timeOf(300));
-    expect((await at(timeOf(COUNT), "here")).logTimeNs).toBe(timeOf(1900));
+    expect((await at(timeOf(301), "nearest"))?.logTimeNs).toBe(timeOf(400));
+    expect((await at(timeOf(400), "next"))?.logTimeNs).toBe(timeOf(500));
+    expect((await at(timeOf(400), "previous"))?.logTimeNs).toBe(timeOf(300));
+    expect((await at(timeOf(300), "previous"))).toBeNull();
+    expect((await at(timeOf(COUNT), "nearest"))?.logTimeNs).toBe(timeOf(1900));
   });
 
   it("draws the curve that was recorded, in order, with every point", async () => {
@@ -130,13 +150,15 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
   it("says in a word what does not work", async () => {
     const { session } = await opened(format);
     await expect(session.fields("/nowhere")).rejects.toMatchObject({ code: "topic_unknown" });
-    await expect(session.picture({ topic: "/wave", atNs: START, step: "here" })).rejects.toMatchObject({ code: "not_a_picture" });
-    const ended = new AbortController();
-    ended.abort();
-    const drawn: DrawnCurves[] = [];
-    await session.curves(request(), { signal: ended.signal, onCurves: (curves) => drawn.push(curves) }).catch((failure: unknown) => {
-      expect(failure).toMatchObject({ code: "cancelled" });
-    });
+    await expect(pictureAt(session, START, "nearest", "/wave")).rejects.toMatchObject({ code: "not_a_picture" });
+  });
+
+  it("ends a curve that is cancelled while it pauses", async () => {
+    const { session } = await opened(format);
+    vi.spyOn(Date, "now").mockImplementation(mockedClock(1000));
+    const pause = vi.fn(() => Promise.reject(new ReadFailure("cancelled")));
+    await expect(session.curves(request(), { pause, onCurves: () => undefined })).rejects.toMatchObject({ code: "cancelled" });
+    expect(pause).toHaveBeenCalledOnce();
   });
 
   it("survives damage anywhere: a named failure, or what is there", { timeout: 60_000 }, async () => {
@@ -150,7 +172,7 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
       try {
         const session = new Session(await openRecording(format, storeOf(bytes).ranges));
         await session.curves(request(), quiet);
-        await session.picture({ topic: "/camera", atNs: START, step: "here" });
+        await pictureAt(session, START);
       } catch (thrown) {
         expect(thrown).toBeInstanceOf(ReadFailure);
       }
@@ -168,10 +190,10 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
     const { seconds, values } = await session.curves(request(), quiet);
     expect(seconds.length).toBeGreaterThan(COUNT * 0.6);
     expect(values[0]).toEqual(seconds.map((item) => wave(Math.round(item * RATE_HZ))));
-    const shown = await session.picture({ topic: "/camera", atNs: START, step: "here" });
+    const shown = await pictureAt(session, START);
     expect(shade(shown)).toBe(300 % 256);
     const little = storeOf(cut).ranges;
-    const beginning = new Session(await openRecording(format, little, cut.length / 4));
+    const beginning = new Session(await openRecording(format, little, { maxBytes: cut.length / 4 }));
     expect(beginning.opened().indexedUntil).toBeLessThan(cut.length / 2);
   });
 
@@ -199,8 +221,8 @@ describe("a session", () => {
     const messages = Array.from({ length: 200 }, (_, number) => ({ topic: number === 120 ? "/camera" : "/bulk", logTimeNs: timeOf(number), data: number === 120 ? picture : bulk }));
     const { ranges } = storeOf(await madeMcap(topics, messages, { chunkSize: 500_000 }));
     const session = new Session(await openRecording("mcap", ranges));
-    const shown = await session.picture({ topic: "/camera", atNs: START, step: "here" });
-    expect(shown.logTimeNs).toBe(timeOf(120));
+    const shown = await pictureAt(session, START);
+    expect(shown?.logTimeNs).toBe(timeOf(120));
     expect(ranges.bytesRead).toBeLessThan(ranges.sizeBytes / 10);
   });
 });

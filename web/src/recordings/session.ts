@@ -4,32 +4,30 @@ import { CurveCollector } from "./curves/curves";
 import { decoderOf, type Decode, type Value } from "./decoding/decoder";
 import { fieldTree, numberAt, stepsOf } from "./decoding/fields";
 import { ReadFailure } from "./failures";
-import { cost, type Message, type OnDamage, type Order, type Piece, type Recording, type Schema, type Span } from "./formats/recording";
-import { MAX_DAMAGED, READ_AHEAD } from "./limits";
-import { pictureOf, type Picture } from "./pictures/picture";
-import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest, SliceProgress } from "./protocol";
-
-export interface PictureMessage {
-  logTimeNs: bigint;
-  picture: Picture;
-  /** Unreadable parts between the requested time and this picture. */
-  damaged: DamagedPart[];
-}
+import { cost, type Message, type OnDamage, type Piece, type Recording, type Schema, type Span } from "./formats/recording";
+import { MAX_DAMAGED, MAX_MESSAGES_AT_ONCE, READ_AHEAD } from "./limits";
+import { MessageSearch } from "./message_search";
+import { makers, type MessageRequest, type MessagesRequest, type ProductName, type ReadMessage } from "./products/products";
+import type { CurvesRequest, DamagedPart, DrawnCurves, FoundMessage, OfferedFields, Opened, ReadMessages, SliceProgress } from "./protocol";
 
 /** Receives curves and progress while something is read; `signal` cancels. */
 export interface Observer {
   signal: AbortSignal;
+  /** Serves requests that are more urgent. To be called now and then between two messages. @throws ReadFailure cancelled. */
+  pause: () => Promise<void>;
   onCurves: (curves: DrawnCurves) => void;
   onSliced: (progress: SliceProgress) => void;
 }
 
 const REPORT_EVERY_MS = 400;
+const PAUSE_EVERY_MS = 30;
 const SECOND_NS = 1e9;
 /** Where the pieces that are wanted are most of what lies between them, reading ahead saves requests. */
 const DENSE = 0.5;
 
 export class Session {
   private readonly decoders = new Map<Schema, Decode>();
+  private searchOfAll: MessageSearch | null = null;
 
   constructor(readonly recording: Recording) {}
 
@@ -39,19 +37,31 @@ export class Session {
     return { span, indexedUntil, topics };
   }
 
-  /** @throws ReadFailure topic_silent, not_a_picture, and whatever reading may. */
-  async picture({ topic, atNs, step }: PictureRequest): Promise<PictureMessage> {
-    const span = this.span(topic);
-    const noticed = new Damages(span.fromNs);
-    const after = { fromNs: step === "next" ? atNs + 1n : atNs, toNs: span.toNs };
-    const before = { fromNs: span.fromNs, toNs: step === "previous" ? atNs - 1n : atNs };
-    const message =
-      step === "previous"
-        ? ((await this.first(topic, before, "backward", noticed)) ?? (await this.first(topic, span, "forward", noticed)))
-        : ((await this.first(topic, after, "forward", noticed)) ?? (await this.first(topic, span, "backward", noticed)));
-    if (message === null) throw noticed.first ?? new ReadFailure("topic_silent");
-    const picture = pictureOf(this.decoder(message.channel.schema)(message.data));
-    return { logTimeNs: message.logTimeNs, picture, damaged: noticed.parts };
+  /** Find one message. @throws ReadFailure where it is damaged, or all that could be it. */
+  async message({ topic, which, atNs, product, shownNs, maxBytes }: MessageRequest): Promise<FoundMessage> {
+    const noticed = new Damages(this.span(topic).fromNs);
+    const { message, searchedToNs } = await this.search.find(topic, which, atNs, { maxBytes, onDamage: noticed.note });
+    if (message === null && noticed.first !== null) throw noticed.first;
+    const isShown = message !== null && message.logTimeNs === shownNs;
+    return { message: message === null ? null : await this.made(message, isShown ? null : product), searchedToNs, damaged: noticed.parts };
+  }
+
+  /** The first messages of a span, as far as the limits reach; damaged ones are left out. */
+  async messages(request: MessagesRequest, { pause }: Pick<Observer, "pause">): Promise<ReadMessages> {
+    const { topic, product, maxMessages, maxBytes, fromNs, toNs } = request;
+    const noticed = new Damages(this.span(topic).fromNs);
+    const span = affordable({ fromNs, toNs }, this.recording.pieces([topic], { fromNs, toNs }), maxBytes);
+    const messages: ReadMessage[] = [];
+    const timer = new Timer(PAUSE_EVERY_MS);
+    for await (const message of this.recording.messages([topic], span, "forward", noticed.note)) {
+      const last = messages.at(-1)?.logTimeNs;
+      // Messages of equal times stay together, so that the next request can begin behind them.
+      if (last !== undefined && messages.length >= maxMessages && message.logTimeNs > last) return { messages, untilNs: last, damaged: noticed.parts };
+      if (messages.length >= MAX_MESSAGES_AT_ONCE) throw new ReadFailure("too_large");
+      await noticed.noteFailure(message, async () => messages.push(await this.made(message, product)));
+      if (timer.isDue()) await pause();
+    }
+    return { messages, untilNs: span.toNs, damaged: noticed.parts };
   }
 
   /** The numeric fields of the topic's first message that can be read. */
@@ -67,7 +77,7 @@ export class Session {
   }
 
   /** Curves of fields against seconds since the start of the recording, as far as `maxBytes` reach. */
-  async curves(request: CurvesRequest, { signal, onCurves }: Pick<Observer, "signal" | "onCurves">): Promise<DrawnCurves> {
+  async curves(request: CurvesRequest, { pause, onCurves }: Pick<Observer, "pause" | "onCurves">): Promise<DrawnCurves> {
     const start = this.span(request.topic).fromNs;
     const requested = { fromNs: request.fromNs, toNs: request.toNs };
     const pieces = this.recording.pieces([request.topic], requested);
@@ -78,16 +88,13 @@ export class Session {
     const noticed = new Damages(start, (part) => collector.breakAt((part.fromSeconds + part.toSeconds) / 2));
     const drawn = (): DrawnCurves => ({ ...collector.curves(), damaged: [...noticed.parts], wholeBytes: cost(pieces), untilNs: span.toNs });
     this.recording.source.ahead = this.isDense(pieces) ? READ_AHEAD : 0;
-    let reportedAt = Date.now();
+    const [pausing, reporting] = [new Timer(PAUSE_EVERY_MS), new Timer(REPORT_EVERY_MS)];
     try {
       for await (const message of this.recording.messages([request.topic], span, "forward", noticed.note)) {
         const value = this.decodeOrNote(message, noticed);
         collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
-        if (Date.now() - reportedAt < REPORT_EVERY_MS) continue;
-        onCurves(drawn());
-        await yieldToEvents();
-        if (signal.aborted) throw new ReadFailure("cancelled");
-        reportedAt = Date.now();
+        if (reporting.isDue()) onCurves(drawn());
+        if (pausing.isDue()) await pause();
       }
     } finally {
       this.recording.source.ahead = 0;
@@ -103,9 +110,18 @@ export class Session {
     return this.recording.span;
   }
 
-  private async first(topic: string, span: Span, order: Order, noticed: Damages): Promise<Message | null> {
-    for await (const message of this.recording.messages([topic], span, order, noticed.note)) return message;
-    return null;
+  private get search(): MessageSearch {
+    const { span } = this.recording;
+    if (span === null) throw new ReadFailure("topic_silent");
+    this.searchOfAll ??= new MessageSearch(this.recording, span);
+    return this.searchOfAll;
+  }
+
+  private async made(message: Message, product: ProductName | null): Promise<ReadMessage> {
+    const { logTimeNs, publishTimeNs, sequence, data, channel } = message;
+    const make = product === null ? null : makers[product];
+    const made = make === null ? null : await make(message, () => this.decoder(channel.schema)(data));
+    return { logTimeNs, publishTimeNs, sequence, sizeBytes: data.length, product: made };
   }
 
   private decodeOrNote(message: Message, noticed: Damages): Value | null {
@@ -149,9 +165,34 @@ class Damages {
     this.first ??= failure;
     const [fromSeconds, toSeconds] = [fromNs, toNs].map((timeNs) => Number(timeNs - this.startNs) / SECOND_NS) as [number, number];
     const part = { fromSeconds, toSeconds };
+    // A search comes to a part again, each time with more of what is around it.
+    if (this.parts.some((known) => known.fromSeconds === fromSeconds && known.toSeconds === toSeconds)) return;
     this.onPart(part);
     if (this.parts.length < MAX_DAMAGED) this.parts.push(part);
   };
+
+  /** Do something with a message; where the message is damaged, note it. */
+  async noteFailure({ logTimeNs }: Message, act: () => Promise<unknown>): Promise<void> {
+    try {
+      await act();
+    } catch (thrown) {
+      if (!(thrown instanceof ReadFailure) || thrown.code !== "message_damaged") throw thrown;
+      this.note({ fromNs: logTimeNs, toNs: logTimeNs, failure: thrown });
+    }
+  }
+}
+
+/** Says when some time has passed since it last did. */
+class Timer {
+  private last = Date.now();
+
+  constructor(private readonly everyMs: number) {}
+
+  isDue(): boolean {
+    const isDue = Date.now() - this.last >= this.everyMs;
+    if (isDue) this.last = Date.now();
+    return isDue;
+  }
 }
 
 /** The beginning of the span that fits into `maxBytes`: at least one piece. */

@@ -61,7 +61,7 @@ function flags(offset: number, incompatible = 1): Uint8Array {
 }
 
 function open(parts: readonly Uint8Array[], maxBytes?: number): Promise<Recording> {
-  return openRecording("ulog", storeOf(joined(parts)).ranges, maxBytes);
+  return openRecording("ulog", storeOf(joined(parts)).ranges, { maxBytes });
 }
 
 async function read(recording: Recording, topic: string, span = ALL): Promise<{ messages: Message[]; damage: Damage[] }> {

@@ -128,7 +128,7 @@ function place(name: keyof typeof texts.places, icon: string, key: string, more:
 
 export const places: readonly Place[] = [
   place("home", iconHome, "h"),
-  place("projects", iconProjects, "p", { also: ["project", "mission", "file"] }),
+  place("projects", iconProjects, "p", { also: ["project", "mission", "mission-view", "file", "file-view"] }),
   place("search", iconSearch, "s"),
   place("upload", iconUpload, "u"),
   place("actions", iconAction, "i", { also: ["action"] }),

@@ -5,6 +5,7 @@ import { ReadFailure, type FailureCode } from "../failures";
 import { READ_AHEAD } from "../limits";
 import type { Source } from "../ranges";
 import { fieldsOf, headAt, MAGIC, Op, recordAt, text, timeAt, uint32, uint64 } from "./bag_records";
+import type { ChunkCache } from "./chunk_cache";
 import {
   inOrder,
   type Channel,
@@ -34,13 +35,13 @@ interface Chunk extends Span {
  *
  * @throws ReadFailure no_index where nothing is there that an index could be made of; index_damaged.
  */
-export async function openBag(source: Source, maxBytes: number): Promise<Recording> {
+export async function openBag(source: Source, maxBytes: number, cache: ChunkCache): Promise<Recording> {
   const front = await source.read(0, Math.min(HEADER, source.sizeBytes));
   if (text(front.subarray(0, MAGIC.length)) !== MAGIC) throw new ReadFailure("not_readable_here");
   const header = headAt(front, MAGIC.length);
   const indexAt = uint64(header.fields.get("index_pos"));
   if (header.op !== Op.header) throw new ReadFailure("index_damaged", "it begins with no header");
-  if (indexAt === 0 || indexAt >= source.sizeBytes) return scan(source, header.dataAt + header.length, maxBytes);
+  if (indexAt === 0 || indexAt >= source.sizeBytes) return scan(source, header.dataAt + header.length, maxBytes, cache);
   const index = await source.read(indexAt, source.sizeBytes - indexAt);
   const connections = new Map<number, Channel>();
   const chunks: Chunk[] = [];
@@ -51,11 +52,11 @@ export async function openBag(source: Source, maxBytes: number): Promise<Recordi
     else throw new ReadFailure("index_damaged", `a record of kind ${record.op}`);
     at = record.next;
   }
-  return new BagRecording(source, connections, placed(chunks, indexAt), null);
+  return new BagRecording(source, connections, placed(chunks, indexAt), null, cache);
 }
 
 /** Walk the chunks from `start`, each with the index behind it, as far as `maxBytes` reach or they are whole. */
-async function scan(source: Source, start: number, maxBytes: number): Promise<Recording> {
+async function scan(source: Source, start: number, maxBytes: number, cache: ChunkCache): Promise<Recording> {
   const connections = new Map<number, Channel>();
   const chunks: Chunk[] = [];
   let at = start;
@@ -74,7 +75,7 @@ async function scan(source: Source, start: number, maxBytes: number): Promise<Re
     source.ahead = 0;
   }
   if (chunks.length === 0) throw new ReadFailure("no_index");
-  return new BagRecording(source, connections, chunks.sort(byStart), at);
+  return new BagRecording(source, connections, chunks.sort(byStart), at, cache);
 }
 
 /** Return the index entry of the chunk at `at`, and note its connections; null if it is incomplete. */
@@ -163,6 +164,7 @@ class BagRecording implements Recording {
     private readonly connections: ReadonlyMap<number, Channel>,
     private readonly chunks: readonly Chunk[],
     readonly indexedUntil: number | null,
+    private readonly cache: ChunkCache,
   ) {
     const [first] = chunks;
     const latest = chunks.reduce((most, chunk) => (chunk.toNs > most ? chunk.toNs : most), 0n);
@@ -209,10 +211,7 @@ class BagRecording implements Recording {
   }
 
   private async read(chunk: Chunk, ids: ReadonlySet<number>): Promise<ChunkContent> {
-    const bytes = await this.source.read(chunk.at, chunk.end - chunk.at);
-    const record = recordAt(bytes, 0);
-    if (record.op !== Op.chunk) throw new ReadFailure("chunk_damaged", `no chunk at ${chunk.at}`);
-    const unpacked = unpack(text(record.fields.get("compression")), record.data, uint32(record.fields.get("size")));
+    const unpacked = await this.cache.get(chunk.at, () => this.load(chunk));
     const messages: Message[] = [];
     for (let at = 0; at < unpacked.length; ) {
       const inside = recordAt(unpacked, at);
@@ -225,5 +224,12 @@ class BagRecording implements Recording {
       messages.push({ logTimeNs, publishTimeNs: logTimeNs, sequence: 0, channel, data: inside.data, chunkSpan: chunk });
     }
     return { messages, retainedBytes: unpacked.length };
+  }
+
+  /** Read a chunk and decompress it. */
+  private async load({ at, end }: Chunk): Promise<Uint8Array> {
+    const record = recordAt(await this.source.read(at, end - at), 0);
+    if (record.op !== Op.chunk) throw new ReadFailure("chunk_damaged", `no chunk at ${at}`);
+    return unpack(text(record.fields.get("compression")), record.data, uint32(record.fields.get("size")));
   }
 }

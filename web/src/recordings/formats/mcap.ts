@@ -20,6 +20,7 @@ import {
   type Recording,
   type Span,
 } from "./recording";
+import type { ChunkCache } from "./chunk_cache";
 import { otherRecordsOf } from "./mcap_other_records";
 import { Fields, OP, rebuildIndex } from "./mcap_reindex";
 
@@ -29,18 +30,18 @@ const TAIL = 512 * 1024;
  *
  * @throws ReadFailure no_index where nothing is there that an index could be made of; index_damaged.
  */
-export async function openMcap(source: Source, maxBytes: number): Promise<Recording> {
+export async function openMcap(source: Source, maxBytes: number, cache: ChunkCache): Promise<Recording> {
   const tail = Math.min(TAIL, source.sizeBytes);
   await source.read(source.sizeBytes - tail, tail); // one request for what is mostly the whole summary
   try {
-    return new McapRecording(source, await opened(source), null);
+    return new McapRecording(source, await opened(source), null, cache);
   } catch (thrown) {
     if (!(thrown instanceof ReadFailure) || thrown.code !== "no_index") throw thrown;
   }
   source.ahead = READ_AHEAD;
   try {
     const rebuilt = await rebuildIndex(source, maxBytes);
-    return new McapRecording(source, await opened(rebuilt), rebuilt.endsAt);
+    return new McapRecording(source, await opened(rebuilt), rebuilt.endsAt, cache);
   } finally {
     source.ahead = 0;
   }
@@ -79,6 +80,7 @@ class McapRecording implements Recording {
     readonly source: Source,
     private readonly reader: McapIndexedReader,
     readonly indexedUntil: number | null,
+    private readonly cache: ChunkCache,
   ) {
     this.span = spanOf(reader.chunkIndexes);
     this.profile = reader.header.profile;
@@ -138,12 +140,7 @@ class McapRecording implements Recording {
   }
 
   private async read(index: ChunkIndex, topics: ReadonlySet<string>): Promise<ChunkContent> {
-    const record = new Fields(await this.source.read(Number(index.chunkStartOffset), Number(index.chunkLength)));
-    if (record.uint8() !== OP.chunk) throw new ReadFailure("chunk_damaged", `no chunk at ${index.chunkStartOffset}`);
-    record.skip(8 + 16); // the length of the record, first and last time
-    const [size, crc, compression] = [Number(record.uint64()), record.uint32(), record.text()];
-    const content = unpack(compression, record.bytes(Number(record.uint64())), size);
-    if (crc !== 0 && crc32(content) !== crc) throw new ReadFailure("chunk_damaged", "its checksum differs");
+    const content = await this.cache.get(Number(index.chunkStartOffset), () => this.load(index));
     const messages: Message[] = [];
     const chunkSpan = { fromNs: index.messageStartTime, toNs: index.messageEndTime };
     const records = new Fields(content);
@@ -158,6 +155,17 @@ class McapRecording implements Recording {
       messages.push({ logTimeNs, publishTimeNs, sequence, channel, data: fields.bytes(fields.left), chunkSpan });
     }
     return { messages, retainedBytes: content.length };
+  }
+
+  /** Read a chunk and decompress it. */
+  private async load(index: ChunkIndex): Promise<Uint8Array> {
+    const record = new Fields(await this.source.read(Number(index.chunkStartOffset), Number(index.chunkLength)));
+    if (record.uint8() !== OP.chunk) throw new ReadFailure("chunk_damaged", `no chunk at ${index.chunkStartOffset}`);
+    record.skip(8 + 16); // the length of the record, first and last time
+    const [size, crc, compression] = [Number(record.uint64()), record.uint32(), record.text()];
+    const content = unpack(compression, record.bytes(Number(record.uint64())), size);
+    if (crc !== 0 && crc32(content) !== crc) throw new ReadFailure("chunk_damaged", "its checksum differs");
+    return content;
   }
 
   private topicsOf(chunk: ChunkIndex): ReadonlySet<string> {

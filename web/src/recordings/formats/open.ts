@@ -1,10 +1,11 @@
 /** Opens a recording by the format that the server detected. Files compressed as a whole are decompressed into memory. */
 
 import { isZstd, zstdWindowBytes } from "../compression/unpack";
-import { MAX_BYTES_UNCONFIRMED, MAX_WHOLE_PACKED, MAX_WHOLE_UNPACKED, READ_AHEAD } from "../limits";
+import { MAX_BYTES_UNCONFIRMED, MAX_CHUNK_CACHE, MAX_WHOLE_PACKED, MAX_WHOLE_UNPACKED, READ_AHEAD } from "../limits";
 import type { ReadableFormat } from "../protocol";
 import type { Source } from "../ranges";
 import { openBag } from "./bag";
+import { ChunkCache } from "./chunk_cache";
 import { openDb3 } from "./db3";
 import { openMcap } from "./mcap";
 import { openUlog } from "./ulog";
@@ -12,17 +13,17 @@ import { joined, type Recording } from "./recording";
 import { Decompress } from "fzstd";
 import { failureOf, ReadFailure } from "../failures";
 
-const OPEN: Readonly<Record<ReadableFormat, (source: Source, maxBytes: number) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag, db3: openDb3, ulog: openUlog };
+const OPEN: Readonly<Record<ReadableFormat, (source: Source, maxBytes: number, cache: ChunkCache) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag, db3: openDb3, ulog: openUlog };
 
-/** Open by the index; without one, by scanning up to `maxBytes` of the beginning.
+/** Open by the index; without one, by scanning up to `maxBytes` of the beginning. `cacheBytes` of decompressed chunks stay in memory.
  *
  * A file that is compressed as a whole is decompressed first.
  *
  * @throws ReadFailure where neither works.
  */
-export async function openRecording(format: ReadableFormat, source: Source, maxBytes = MAX_BYTES_UNCONFIRMED): Promise<Recording> {
+export async function openRecording(format: ReadableFormat, source: Source, { maxBytes = MAX_BYTES_UNCONFIRMED, cacheBytes = MAX_CHUNK_CACHE } = {}): Promise<Recording> {
   const head = await source.read(0, Math.min(4, source.sizeBytes));
-  return OPEN[format](isZstd(head) ? await decompressed(source) : source, maxBytes);
+  return OPEN[format](isZstd(head) ? await decompressed(source) : source, maxBytes, new ChunkCache(cacheBytes));
 }
 
 /** Read and decompress a whole file.
@@ -62,6 +63,7 @@ function inMemory(bytes: Uint8Array): Source {
   return {
     sizeBytes: bytes.length,
     ahead: 0,
+    bytesRead: 0,
     read: (offset, length) => {
       if (offset >= 0 && length >= 0 && offset + length <= bytes.length) return Promise.resolve(bytes.subarray(offset, offset + length));
       return Promise.reject(new ReadFailure("index_damaged", `${length} bytes at ${offset} of ${bytes.length}`));

@@ -41,7 +41,7 @@ async function make(handle: FileSystemFileHandle | null, signal = new AbortContr
   const noise = (): Uint8Array => Uint8Array.from({ length: 10_000 }, () => (state = (state * 48271) % 2147483647) & 255);
   const messages = Array.from({ length: COUNT }, (_, number) => ({ topic: "/a", logTimeNs: BigInt(number + 1), data: noise() }));
   const recording = await openRecording("mcap", storeOf(await madeMcap([topic], messages, { chunkSize: 2 ** 18 })).ranges);
-  return makeSlice(recording, { ...REQUEST, handle }, { signal, onCurves: () => undefined, onSliced: () => undefined });
+  return makeSlice(recording, { ...REQUEST, handle }, { signal, pause: () => Promise.resolve(), onCurves: () => undefined, onSliced: () => undefined });
 }
 
 describe("a slice in a file", () => {

@@ -11,7 +11,7 @@ import { rowsOf } from "@/features/runs/preview";
 const TEXT = new TextEncoder();
 
 function sourceOf(bytes: Uint8Array): Source {
-  return { sizeBytes: bytes.length, ahead: 0, read: (offset, length) => Promise.resolve(bytes.subarray(offset, offset + length)) };
+  return { sizeBytes: bytes.length, ahead: 0, bytesRead: 0, read: (offset, length) => Promise.resolve(bytes.subarray(offset, offset + length)) };
 }
 
 function tableOf(text: string, delimiter: Delimiter, pieceLength = text.length): Table {

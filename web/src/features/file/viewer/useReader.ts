@@ -27,11 +27,25 @@ function start(): WorkerLike {
   return new Worker(new URL("@/recordings/worker.ts", import.meta.url), { type: "module", name: "recording" });
 }
 
-/** Returns a reader of a file of a format that can be read here; the audit log records what for. */
-export function useReader(file: File, format: ReadableFormat, purpose: "download" | "preview" = "preview"): FileReader {
-  const bytesRead = ref(0);
-  const reader = new RecordingReader({
-    file: { format, sizeBytes: file.size_bytes },
+/** What the reader must know of a file. */
+export interface ReadableFile {
+  readonly id: string;
+  readonly size_bytes: number;
+  readonly format: ReadableFormat;
+}
+
+export interface ReaderSettings {
+  readonly onRead: (bytes: number) => void;
+  /** Decompressed chunks that stay in memory. */
+  readonly cacheBytes?: number;
+  /** What for, in the audit log. */
+  readonly purpose?: "download" | "preview";
+}
+
+/** Returns a reader of a file. Its owner closes it. */
+export function openReader(file: ReadableFile, { onRead, cacheBytes, purpose = "preview" }: ReaderSettings): RecordingReader {
+  return new RecordingReader({
+    file: { format: file.format, sizeBytes: file.size_bytes, ...(cacheBytes !== undefined && { cacheBytes }) },
     address: async () => {
       try {
         return await addressOf(file.id, purpose);
@@ -40,8 +54,15 @@ export function useReader(file: File, format: ReadableFormat, purpose: "download
       }
     },
     start,
-    onRead: (bytes) => (bytesRead.value = bytes),
+    onRead,
   });
+}
+
+/** Returns a reader of a file of a format that can be read here, which is closed with the component. */
+export function useReader(file: File, format: ReadableFormat, purpose: "download" | "preview" = "preview"): FileReader {
+  const bytesRead = ref(0);
+  const settings = { purpose, onRead: (bytes: number) => (bytesRead.value = bytes) };
+  const reader = openReader({ id: file.id, size_bytes: file.size_bytes, format }, settings);
   onScopeDispose(() => reader.close());
   return { reader, bytesRead };
 }

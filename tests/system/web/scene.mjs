@@ -1,0 +1,71 @@
+// 3D panels: opens recordings with points, transforms and markers, and reads what the panels say that they show.
+// Prints the results as JSON. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's
+// address, the folder for pictures, and as JSON the panels: [{ name, file, time, series: ["/topic"], points }].
+import { openBrowser } from "./browsing.mjs";
+
+const [web, executablePath, link, address, pictures, json] = process.argv.slice(2);
+const KEY_LENGTH = 8;
+const { results, openPage, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
+const { page } = await openPage();
+results.views = {};
+await page.goto(link);
+await page.waitForURL((url) => url.pathname === "/");
+
+const scene = page.locator("[data-scene]");
+
+/** Opens a 3D panel and waits until all topics and the expected points are shown. */
+async function open({ file, time, series, points }) {
+  const key = file.slice(0, KEY_LENGTH);
+  const panel = `scene*:${series.map((topic) => `${key}@${topic}`).join(";")}`;
+  await page.goto(`${address}/files/${file}/view?${new URLSearchParams({ ...(time ? { t: time } : {}), p: panel })}`);
+  await page.waitForFunction((count) => document.querySelectorAll("[data-scene-topic][data-log-time]").length === count, series.length);
+  await page.locator(`[data-drawn-points="${points}"]`).waitFor();
+}
+
+async function state() {
+  const topics = await page.locator("[data-scene-topic]").evaluateAll((rows) => rows.map((row) => ({ ...row.dataset, text: row.textContent })));
+  const canvas = page.locator("[data-scene] canvas");
+  const { fixedFrame, items } = await scene.evaluate((element) => ({ ...element.dataset }));
+  const missing = await page.locator("[data-missing-transform]").allTextContents();
+  return { topics, label: await canvas.getAttribute("aria-label"), fixedFrame, items: Number(items), missing, colours: await colours(canvas) };
+}
+
+/** Returns how many different colours the drawing has, from a screenshot, since WebGL keeps no picture. */
+async function colours(canvas) {
+  const bytes = (await canvas.screenshot()).toString("base64");
+  return page.evaluate(async (text) => {
+    const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))], { type: "image/png" }));
+    const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+    context.drawImage(bitmap, 0, 0);
+    return new Set(new Uint32Array(context.getImageData(0, 0, bitmap.width, bitmap.height).data.buffer)).size;
+  }, bytes);
+}
+
+for (const view of JSON.parse(json)) {
+  await open(view);
+  if (view.missing) await page.waitForFunction((count) => document.querySelectorAll("[data-missing-transform]").length === count, view.missing);
+  else await page.waitForFunction((count) => Number(document.querySelector("[data-scene]")?.dataset.items) >= count, view.items ?? 1);
+  results.views[view.name] = await state();
+  if (view.isPictured) {
+    await page.screenshot({ path: `${pictures}/scene-${view.name}.png` });
+    await page.getByRole("button", { name: "Topics and settings" }).click();
+    await checkPage(page, `scene-${view.name}`);
+  }
+  if (view.hasSettings) {
+    await page.locator("[data-setting=frame]").selectOption("base");
+    await page.locator("[data-scene][data-fixed-frame=base]").waitFor();
+    results.address = page.url();
+    const canvas = page.locator("[data-scene] canvas");
+    const before = await canvas.screenshot();
+    await canvas.focus();
+    await page.keyboard.press("Shift+ArrowLeft");
+    await page.keyboard.press("Shift+ArrowUp");
+    results.hasTurned = !before.equals(await canvas.screenshot());
+    results.time = await page.locator("[data-scene-topic]").first().getAttribute("data-log-time");
+    await page.getByRole("checkbox", { name: view.series[0] }).uncheck();
+    await page.locator("[data-drawn-points='0']").waitFor();
+  }
+}
+// Screenshots of WebGL make a browser without a GPU wait, of which it warns.
+results.consoleErrors = results.consoleErrors.filter((text) => !text.includes("GPU stall due to ReadPixels"));
+await printResults();

@@ -1,0 +1,164 @@
+"""The viewer of a mission in a real browser: what it shows at a time is what the SDK reads at that time."""
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kleinkram.recordings import Recording
+from kleinkram.recordings.decoding import image
+from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
+from kleinkram.recordings.writing.mcap_writer import McapWriter
+from tests.acceptance.conftest import wait_until
+from tests.system.cluster import Cluster
+from tests.system.web.conftest import RunBrowser
+
+_MCAP_BYTES, _SMALL_BYTES = 40_000_000, 8_000_000
+_CAMERA, _IMU, _ODOM = "/camera/image/compressed", "/imu/data", "/odom"
+# JPEG decoders may round differently.
+_ROUNDING = 2
+_LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR")
+_LINES = 40
+_ROUNDED_NS = 1_000
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_the_viewer_shows_what_was_recorded_at_each_time(
+    shared_cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
+) -> None:
+    day = tmp_path / "day"
+    day.mkdir()
+    mcap = generate_mcap(day / "drive.mcap", size_bytes=_MCAP_BYTES)
+    paths = {
+        "drive.mcap": mcap.path,
+        "drive.bag": generate_bag(day / "drive.bag", size_bytes=_SMALL_BYTES).path,
+        "drive_rosbag2/drive_rosbag2_0.db3": generate_db3(day / "drive_rosbag2", size_bytes=_SMALL_BYTES).path,
+        "log.mcap": _write_log(day / "log.mcap", mcap.start_ns),
+    }
+    terminal = shared_cluster.terminal
+    terminal.run("project", "create", "Valais")
+    terminal.run("upload", "-p", "Valais", "-m", "day", "--create", "--wait", f"{day}/")
+
+    def files() -> dict[str, dict[str, Any]]:
+        return {file["path"]: file for file in terminal.run("file", "list", "-p", "Valais", "--json").json()["items"]}
+
+    wait_until(lambda: all(files()[name]["content"] == "indexed" for name in paths), "the files to be read")
+    known = files()
+    keys = {name: known[name]["recording_id"][:8] for name in paths}
+    mcap_key = keys["drive.mcap"]
+    panels = {
+        "mcapImage": f"image:{mcap_key}@{_CAMERA}",
+        "bagImage": f"image:{keys['drive.bag']}@{_CAMERA}",
+        "db3Image": f"image:{keys['drive_rosbag2/drive_rosbag2_0.db3']}@{_CAMERA}",
+        "imu": f"raw:{mcap_key}@{_IMU}",
+        "plot": f"plot*:{mcap_key}@{_IMU},linear_acceleration.x,linear_acceleration.z",
+        "twoTopics": f"plot*:{mcap_key}@{_IMU},linear_acceleration.x;{keys['drive.bag']}@{_ODOM},pose.pose.position.x",
+        "log": f"log:{keys['log.mcap']}@/log",
+    }
+    later_ns = mcap.start_ns + 2_345_678_901
+    mission_id, file_id = known["drive.mcap"]["mission"]["id"], known["drive.mcap"]["id"]
+    results = run_browser(
+        "viewer.mjs", shared_cluster, pictures, mission_id, file_id, json.dumps(panels), later_ns, timeout_s=350
+    )
+
+    assert [results[name] for name in ("consoleErrors", "axe", "overflowing", "executed")] == [[], [], [], []]
+    first_row = [f"Image: {_CAMERA}", "3D: /lidar/points"]
+    others = [f"Plot: {_IMU}", f"Raw messages: {_IMU}", "Log: /log"]
+    assert results["defaults"] == [*first_row, *others]
+    _assert_formats(results["later"], paths, later_ns)
+    imu_count = next(topic.count for topic in mcap.topics if topic.name == _IMU)
+    assert int(results["later"]["plot"]["messages"]) < imu_count, "a plot reads part of a large recording"
+    assert "some curves were not read" in results["notice"]
+    assert int(results["whole"]["messages"]) == imu_count
+    assert results["whole"]["values"] == results["later"]["plot"]["values"]
+    _assert_steps(results, paths["drive.mcap"], later_ns)
+    playing = results["playing"]
+    assert playing["movedImage"]
+    assert playing["isStill"]
+    assert int(playing["playedNs"]) < (playing["elapsedMs"] + 1_000) * 1e6, "it does not play faster than time passes"
+    assert results["link"]["after"] == results["link"]["before"]
+    assert results["link"]["before"]["panels"][0] == [f"Image: {_CAMERA}", True]
+    assert results["link"]["before"]["loop"] == results["link"]["before"]["time"]
+    odom = _valid(paths["drive.bag"], _ODOM, later_ns).value.pose.pose.position.x
+    imu = _valid(paths["drive.mcap"], _IMU, later_ns).value
+    assert _numbers(results["twoTopics"]["values"]) == [
+        ("linear_acceleration.x", imu.linear_acceleration.x),
+        ("pose.pose.position.x", odom),
+    ]
+    middle_ns = (mcap.start_ns + max(topic.last_ns for topic in mcap.topics)) // 2
+    assert abs(int(results["clicked"]) - middle_ns) < 200_000_000
+    assert results["added"] == ["linear_acceleration.x", "angular_velocity.x", "pose.pose.position.x"]
+    assert results["log"]["lines"] == str(_LINES)
+    assert results["log"]["texts"] == [f"line {number}" for number in range(_LINES)]
+    assert results["log"]["errors"] == [f"line {number}" for number in range(_LINES) if number % len(_LEVELS) == 3]
+    assert results["log"]["jumped"][0] == results["log"]["jumped"][1]
+    with Recording.open(paths["drive.mcap"]) as recording:
+        fix = next(iter(recording.messages("/gps/fix")))
+    assert int(results["gps"]["logTime"]) == fix.log_time_ns
+    assert dict(results["gps"]["leaves"])["latitude"] == str(fix.value.latitude)
+
+
+def _assert_formats(results: dict[str, Any], paths: dict[str, Path], at_ns: int) -> None:
+    assert int(results["time"]) == at_ns
+    for name, path in zip(("mcap", "bag", "db3"), paths.values(), strict=False):
+        _assert_picture(results[name], path, at_ns)
+    imu = _valid(paths["drive.mcap"], _IMU, at_ns)
+    assert int(results["imu"]["logTime"]) == imu.log_time_ns
+    leaves = results["imu"]["leaves"]
+    numbers = [(name, float(text)) for name, text in leaves if name in ("x", "z")]
+    for field in (imu.value.orientation, imu.value.angular_velocity, imu.value.linear_acceleration):
+        assert ("x", field.x) in numbers
+        assert ("z", field.z) in numbers
+    assert ["frame_id", imu.value.header.frame_id] in leaves
+    acceleration = imu.value.linear_acceleration
+    expected = [("linear_acceleration.x", acceleration.x), ("linear_acceleration.z", acceleration.z)]
+    assert _numbers(results["plot"]["values"]) == expected
+
+
+def _assert_steps(results: dict[str, Any], path: Path, at_ns: int) -> None:
+    with Recording.open(path) as recording:
+        times = [message.log_time_ns for message in recording.messages(_CAMERA)]
+        start_ns, end_ns = recording.start_ns, recording.end_ns
+    first = max(place for place, time_ns in enumerate(times) if time_ns <= at_ns)
+    for name, place in (("next", first + 1), ("nextAgain", first + 2), ("previous", first + 1)):
+        _assert_picture(results[name], path, times[place])
+    assert results["second"] == "1000000000"
+    assert start_ns is not None
+    assert end_ns is not None
+    assert 0 <= start_ns - int(results["home"]) <= _ROUNDED_NS
+    assert int(results["end"]) >= end_ns
+
+
+def _valid(path: Path, topic: str, at_ns: int) -> Any:
+    """Return the last message at or before a time."""
+    with Recording.open(path) as recording:
+        return [message for message in recording.messages(topic) if message.log_time_ns <= at_ns][-1]
+
+
+def _assert_picture(results: dict[str, Any], path: Path, at_ns: int) -> None:
+    message = _valid(path, _CAMERA, at_ns)
+    assert int(results["logTime"]) == message.log_time_ns
+    pixels = image(message.value)[:, :, 0]
+    grey = np.frombuffer(base64.b64decode(results["grey"]), np.uint8).reshape(results["height"], results["width"])
+    assert grey.shape == pixels.shape
+    assert int(np.abs(grey.astype(int) - pixels.astype(int)).max()) <= _ROUNDING
+    assert int(grey.max()) - int(grey.min()) > 100, "the picture has one colour"
+
+
+def _numbers(values: list[list[str]]) -> list[tuple[str, float]]:
+    return [(name, float(text)) for name, text in values]
+
+
+def _write_log(path: Path, start_ns: int) -> Path:
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        channel = writer.add_channel("/log", writer.add_schema("foxglove.Log", "jsonschema", b"{}"), "json")
+        for number in range(_LINES):
+            line = {"level": _LEVELS[number % len(_LEVELS)], "name": "driver", "message": f"line {number}"}
+            writer.add_message(channel, start_ns + number * 100_000_000, json.dumps(line).encode())
+        writer.finish()
+    return path

@@ -1,0 +1,52 @@
+import { expect, it } from "vitest";
+import { aligned, partAround, segmentOf, unreadParts, valueAt, type Segment } from "./curves";
+import type { SourceFile } from "./sources";
+
+const file: SourceFile = { id: "f", path: "a.mcap", format: "mcap", size_bytes: 1, span: { fromNs: 0n, toNs: 100n } };
+
+function segment(fromNs: bigint, toNs: bigint, more: Partial<Segment> = {}): Segment {
+  return { fileId: "f", fromNs, toNs, seconds: [], values: [], messages: 0, isWhole: true, wholeBytes: 0, isCut: false, ...more };
+}
+
+it("names the parts of a file that were not read", () => {
+  expect(unreadParts(file, [])).toEqual([file.span]);
+  expect(unreadParts(file, [segment(50n, 60n), segment(0n, 20n), segment(0n, 100n, { fileId: "g" })])).toEqual([
+    { fromNs: 21n, toNs: 49n },
+    { fromNs: 61n, toNs: 100n },
+  ]);
+  expect(unreadParts(file, [segment(0n, 100n)])).toEqual([]);
+});
+
+it("reads around a time only within the unread part that the time is in", () => {
+  expect(partAround([{ fromNs: 21n, toNs: 49n }], 30n)).toEqual({ fromNs: 21n, toNs: 49n });
+  expect(partAround([{ fromNs: 21n, toNs: 49n }], 50n)).toBeNull();
+  const hour = { fromNs: 0n, toNs: 3_600_000_000_000n };
+  expect(partAround([hour], 60_000_000_000n)).toEqual({ fromNs: 58_000_000_000n, toNs: 75_000_000_000n });
+});
+
+it("covers no more than what was read where the limit was reached", () => {
+  const curves = { seconds: [0, 1], values: [[5, 6]], messages: 2, isWhole: true, wholeBytes: 999, damaged: [], untilNs: 40n };
+  expect(segmentOf("f", file.span, curves, 2)).toMatchObject({ fromNs: 0n, toNs: 40n, isCut: true, seconds: [2, 3], wholeBytes: 999 });
+  expect(segmentOf("f", file.span, { ...curves, untilNs: 100n }, 2)).toMatchObject({ toNs: 100n, isCut: false });
+});
+
+it("puts curves of several topics side by side, and breaks one between segments that are apart", () => {
+  const fast = [segment(60n, 80n, { seconds: [6, 7], values: [[60, 70]] }), segment(0n, 20n, { seconds: [0, 1], values: [[0, 10]] })];
+  const slow = [segment(0n, 100n, { seconds: [0, 6.5], values: [[1, 2], [null, 4]] })];
+  const { seconds, values } = aligned([{ curves: 1, segments: fast }, { curves: 2, segments: slow }]);
+  expect(seconds).toEqual([0, 1, 6 - 1e-6, 6, 6.5, 7]);
+  expect(values[0]).toEqual([0, 10, null, 60, undefined, 70]);
+  expect(values[1]).toEqual([1, undefined, undefined, undefined, 2, undefined]);
+  expect(values[2]).toEqual([null, undefined, undefined, undefined, 4, undefined]);
+});
+
+it("does not break a curve between segments that touch", () => {
+  const segments = [segment(0n, 20n, { seconds: [0, 2], values: [[1, 2]] }), segment(21n, 40n, { seconds: [3], values: [[3]] })];
+  expect(aligned([{ curves: 1, segments }]).values).toEqual([[1, 2, 3]]);
+});
+
+it("returns the value that is valid at a time", () => {
+  const curves = { seconds: [0, 1, 2], values: [[10, undefined, 12], [null, 21, undefined]] };
+  expect([-1, 0, 1.5, 2, 9].map((second) => valueAt(curves, 0, second))).toEqual([null, 10, 10, 12, 12]);
+  expect([0, 1, 5].map((second) => valueAt(curves, 1, second))).toEqual([null, 21, 21]);
+});

@@ -1,0 +1,121 @@
+// Curves of several topics on one axis: which parts were read, and their points side by side.
+import { MAX_BYTES_UNCONFIRMED } from "@/recordings/limits";
+import type { Span } from "@/recordings/formats/recording";
+import type { DrawnCurves } from "@/recordings/protocol";
+import type { SourceFile } from "./sources";
+
+/** A part of a file whose curves were read. */
+export interface Segment extends Span {
+  readonly fileId: string;
+  /** Seconds since the beginning of the viewer's time. */
+  readonly seconds: readonly number[];
+  /** By field. */
+  readonly values: readonly (readonly (number | null | undefined)[])[];
+  readonly messages: number;
+  /** Whether these are all points, or the extremes of slices. */
+  readonly isWhole: boolean;
+  /** What the whole request would read, in bytes. */
+  readonly wholeBytes: number;
+  /** Whether more is to be read, which `wholeBytes` includes. */
+  readonly isCut: boolean;
+}
+
+/** What a plot knows of one of its topics. */
+export interface SeriesState {
+  readonly fields: readonly string[];
+  readonly segments: readonly Segment[];
+  readonly unread: readonly Span[];
+  readonly wholeBytes: number;
+  readonly isReading: boolean;
+  readonly readAll: () => void;
+}
+
+/** What a plot reads unasked of one topic, and around the play head. */
+export const PLOT_BYTES = MAX_BYTES_UNCONFIRMED / 2;
+export const AROUND_BYTES = 8 * 2 ** 20;
+/** How long before a segment the curve is broken. */
+const BREAK_SECONDS = 1e-6;
+const AROUND_BEFORE_NS = 2_000_000_000n;
+const AROUND_AFTER_NS = 15_000_000_000n;
+
+/** Returns the segment of curves that a file gave; `offsetSeconds` is the start of its recording on the axis. */
+export function segmentOf(fileId: string, requested: Span, curves: DrawnCurves, offsetSeconds: number): Segment {
+  const untilNs = curves.untilNs < requested.toNs ? curves.untilNs : requested.toNs;
+  const { values, messages, isWhole, wholeBytes } = curves;
+  const seconds = curves.seconds.map((second) => second + offsetSeconds);
+  return { fileId, fromNs: requested.fromNs, toNs: untilNs, seconds, values, messages, isWhole, wholeBytes, isCut: untilNs < requested.toNs };
+}
+
+/** Returns the segment of a part of a file that has no message of the topic. */
+export function emptySegment(fileId: string, part: Span): Segment {
+  return { ...part, fileId, seconds: [], values: [], messages: 0, isWhole: true, wholeBytes: 0, isCut: false };
+}
+
+/** Returns the parts of a file that no segment covers, in order. */
+export function unreadParts({ id, span }: SourceFile, segments: readonly Segment[]): Span[] {
+  const own = segments.filter(({ fileId }) => fileId === id).toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1));
+  const parts: Span[] = [];
+  let fromNs = span.fromNs;
+  for (const segment of own) {
+    if (segment.fromNs > fromNs) parts.push({ fromNs, toNs: segment.fromNs - 1n });
+    if (segment.toNs >= fromNs) fromNs = segment.toNs + 1n;
+  }
+  return fromNs <= span.toNs ? [...parts, { fromNs, toNs: span.toNs }] : parts;
+}
+
+/** Returns what is to be read around a time, within an unread part; null where the time lies in none. */
+export function partAround(unread: readonly Span[], timeNs: bigint): Span | null {
+  const part = unread.find(({ fromNs, toNs }) => timeNs >= fromNs && timeNs <= toNs);
+  if (part === undefined) return null;
+  const fromNs = timeNs - AROUND_BEFORE_NS > part.fromNs ? timeNs - AROUND_BEFORE_NS : part.fromNs;
+  const toNs = timeNs + AROUND_AFTER_NS < part.toNs ? timeNs + AROUND_AFTER_NS : part.toNs;
+  return { fromNs, toNs };
+}
+
+export interface Aligned {
+  readonly seconds: readonly number[];
+  /** By curve. `undefined`: no point at this time; `null`: the curve is broken. */
+  readonly values: readonly (readonly (number | null | undefined)[])[];
+}
+
+/** Returns the curves of several topics with one list of times. A curve is broken between two segments with a gap. */
+export function aligned(topics: readonly { readonly curves: number; readonly segments: readonly Segment[] }[]): Aligned {
+  const points = new Map<number, (number | null | undefined)[]>();
+  const total = topics.reduce((sum, { curves }) => sum + curves, 0);
+  const put = (second: number, curve: number, value: number | null | undefined): void => {
+    const row = points.get(second) ?? Array.from<undefined>({ length: total });
+    points.set(second, row);
+    if (value !== undefined) row[curve] = value;
+  };
+  let first = 0;
+  for (const { curves, segments } of topics) {
+    const inOrder = segments.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1));
+    for (const [place, segment] of inOrder.entries()) {
+      const start = segment.seconds[0];
+      const previous = inOrder[place - 1];
+      const isApart = previous !== undefined && segment.fromNs > previous.toNs + 1n;
+      for (let curve = 0; curve < curves; curve += 1) {
+        if (isApart && start !== undefined) put(start - BREAK_SECONDS, first + curve, null);
+        segment.seconds.forEach((second, row) => put(second, first + curve, segment.values[curve]?.[row]));
+      }
+    }
+    first += curves;
+  }
+  const seconds = [...points.keys()].sort((a, b) => a - b);
+  return { seconds, values: Array.from({ length: total }, (_, curve) => seconds.map((second) => points.get(second)?.[curve])) };
+}
+
+/** Returns the last value of a curve at or before a time, in seconds; null where there is none. */
+export function valueAt({ seconds, values }: Aligned, curve: number, second: number): number | null {
+  let [low, high] = [0, seconds.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if ((seconds[middle] ?? 0) <= second) low = middle + 1;
+    else high = middle;
+  }
+  for (let row = low - 1; row >= 0; row -= 1) {
+    const value = values[curve]?.[row];
+    if (value !== undefined) return value;
+  }
+  return null;
+}

@@ -1,0 +1,141 @@
+// Reads the curves of one topic: the beginning up to a limit, what is around the play head, and the rest on demand.
+import { computed, onScopeDispose, ref, shallowRef, watch, type ComputedRef, type Ref } from "vue";
+import { AROUND_BYTES, emptySegment, partAround, PLOT_BYTES, segmentOf, unreadParts, type Segment } from "./curves";
+import type { Series } from "./layout";
+import type { SourceFile } from "./sources";
+import { secondsOf, useViewer } from "./viewer";
+import { chosenFields } from "@/features/file/viewer/plot";
+import { failureOf, ReadFailure } from "@/recordings/failures";
+import type { Span } from "@/recordings/formats/recording";
+import type { FieldNode } from "@/recordings/decoding/fields";
+
+export interface SeriesCurves {
+  readonly segments: Ref<readonly Segment[]>;
+  /** The fields that the topic offers; null until they are read. */
+  readonly offered: Ref<readonly FieldNode[] | null>;
+  /** The fields that are drawn: those of the series, or the defaults of the message type. */
+  readonly fields: ComputedRef<readonly string[]>;
+  readonly unread: ComputedRef<readonly Span[]>;
+  readonly failure: Ref<ReadFailure | null>;
+  readonly isReading: Ref<boolean>;
+  /** What the curves need in all, in bytes, where some of it was not read; else 0. */
+  readonly wholeBytes: ComputedRef<number>;
+  readonly readAll: () => void;
+  readonly again: () => void;
+}
+
+type Read = (file: SourceFile, part: Span, maxBytes: number) => Promise<Segment>;
+
+/** Curves come after the messages at the time of the play head. */
+const AFTER_MESSAGES = 1_000;
+
+/** Reads the curves of a series, and follows it. */
+export function useCurves(series: () => Series, priority: () => number): SeriesCurves {
+  const { clock, sources, topics } = useViewer();
+  const segments = shallowRef<readonly Segment[]>([]);
+  const offered = shallowRef<readonly FieldNode[] | null>(null);
+  const failure = shallowRef<ReadFailure | null>(null);
+  const isReading = ref(false);
+  let controller = new AbortController();
+
+  const topic = computed(() => topics.find(({ recording, name }) => recording === series().recording && name === series().topic));
+  const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
+  const fields = computed(() => (offered.value === null ? [] : chosenFields(offered.value, series().fields, topic.value?.messageType ?? null)));
+  const unread = computed(() => files.value.flatMap((file) => unreadParts(file, segments.value)));
+  const wholeBytes = computed(() => (unread.value.length === 0 ? 0 : segments.value.reduce((sum, { wholeBytes: bytes, isCut }) => sum + (isCut ? bytes : 0), 0)));
+
+  /** Runs one reading at a time, which ends when the series changes. */
+  async function attempt(act: (read: Read) => Promise<void>): Promise<void> {
+    if (isReading.value) return;
+    const own = controller;
+    isReading.value = true;
+    failure.value = null;
+    try {
+      await act((file, part, maxBytes) => read(file, part, maxBytes, own.signal));
+    } catch (thrown) {
+      const failed = failureOf(thrown, "worker_ended");
+      if (own === controller && failed.code !== "cancelled") failure.value = failed;
+    } finally {
+      if (own === controller) isReading.value = false;
+    }
+  }
+
+  async function read(file: SourceFile, part: Span, maxBytes: number, signal: AbortSignal): Promise<Segment> {
+    const before = segments.value;
+    const show = (segment: Segment): Segment => {
+      if (signal.aborted) throw new ReadFailure("cancelled");
+      segments.value = [...before, segment];
+      return segment;
+    };
+    const startSeconds = secondsOf(clock, file.span.fromNs);
+    const result = await sources.curves(file, { ...series(), fields: fields.value }, { ...part, maxBytes }, {
+      signal,
+      priority: priority() + AFTER_MESSAGES,
+      // What was read so far covers nothing yet: the rest stays marked as unread.
+      onCurves: (curves) => !signal.aborted && show(segmentOf(file.id, part, { ...curves, untilNs: part.fromNs }, startSeconds)),
+    });
+    if (result === null) return show(emptySegment(file.id, part));
+    return show(segmentOf(file.id, part, result.curves, secondsOf(clock, result.opened.span?.fromNs ?? file.span.fromNs)));
+  }
+
+  function readBeginning(): Promise<void> {
+    return attempt(async (readPart) => {
+      let bytesLeft = PLOT_BYTES;
+      for (const file of files.value) {
+        const [part] = unreadParts(file, segments.value);
+        if (bytesLeft <= 0 || part === undefined) continue;
+        bytesLeft -= (await readPart(file, part, bytesLeft)).wholeBytes;
+      }
+    });
+  }
+
+  function readAll(): Promise<void> {
+    return attempt(async (readPart) => {
+      for (const file of files.value) {
+        for (const part of unreadParts(file, segments.value)) await readPart(file, part, Infinity);
+      }
+    });
+  }
+
+  function readAround(timeNs: bigint): Promise<void> {
+    return attempt(async (readPart) => {
+      for (const file of files.value) {
+        const part = partAround(unreadParts(file, segments.value), timeNs);
+        if (part !== null) await readPart(file, part, AROUND_BYTES);
+      }
+    });
+  }
+
+  /** Ends what is read, and reads the offered fields, from which the drawn ones follow. */
+  function restart(): void {
+    stop();
+    offered.value = null;
+    void attempt(async () => {
+      const { signal } = controller;
+      const { fields: tree } = await sources.fields(series(), { signal, priority: priority() + AFTER_MESSAGES });
+      if (!signal.aborted) offered.value = tree;
+    });
+  }
+
+  function stop(): void {
+    controller.abort();
+    controller = new AbortController();
+    isReading.value = false;
+    segments.value = [];
+  }
+
+  function draw(): void {
+    if (offered.value === null) return;
+    stop();
+    if (fields.value.length > 0) void readBeginning();
+  }
+
+  watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
+  watch(() => JSON.stringify([offered.value === null, fields.value]), draw);
+  watch(clock.timeNs, (timeNs) => {
+    const isUnread = unread.value.some((part) => timeNs >= part.fromNs && timeNs <= part.toNs);
+    if (isUnread && fields.value.length > 0 && failure.value === null) void readAround(timeNs);
+  });
+  onScopeDispose(() => controller.abort());
+  return { segments, offered, fields, unread, failure, isReading, wholeBytes, readAll: () => void readAll(), again: () => (offered.value === null ? restart() : draw()) };
+}

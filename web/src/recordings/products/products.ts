@@ -1,0 +1,78 @@
+/** What the worker makes of a message for the page. To add a product, write its module and add a line here twice. */
+
+import type { Message } from "../formats/recording";
+import type { Value } from "../decoding/decoder";
+import { drawnPicture, type DrawnPicture } from "./drawn_picture";
+import { sceneBuffers, sceneMessage, type SceneMessage } from "../geometry/scene_message";
+import { transformsOf, type Transform } from "../geometry/transforms";
+import { plainValue, type PlainValue } from "./plain_value";
+import { messageTree, type MessageTree } from "./tree";
+
+/** Products by name. `time` is for those who need to know only when a message comes. */
+export interface Products {
+  picture: DrawnPicture;
+  plain: PlainValue;
+  /** What is shown in space. */
+  scene: SceneMessage;
+  time: null;
+  transforms: readonly Transform[];
+  tree: MessageTree;
+}
+
+export type ProductName = keyof Products;
+
+/** Makes a product. @throws ReadFailure where the message is no such thing; what `decode` throws. */
+export type Make<P extends ProductName> = (message: Message, decode: () => Value) => Products[P] | Promise<Products[P]>;
+
+export const makers: { readonly [P in ProductName]: Make<P> } = {
+  picture: (_, decode) => drawnPicture(decode()),
+  plain: (_, decode) => plainValue(decode()),
+  scene: ({ channel }, decode) => sceneMessage(channel.schema.name, decode()),
+  time: () => null,
+  transforms: (_, decode) => transformsOf(decode()),
+  tree: messageTree,
+};
+
+/** Which message of a topic; see `MessageSearch.find`. */
+export type Which = "valid" | "next" | "previous" | "nearest";
+
+export interface MessageRequest<P extends ProductName = ProductName> {
+  topic: string;
+  which: Which;
+  atNs: bigint;
+  product: P;
+  /** The message that the page has already: its product is not made again. */
+  shownNs: bigint | null;
+  /** About as many bytes are read at most. */
+  maxBytes: number;
+}
+
+export interface MessagesRequest<P extends ProductName = ProductName> {
+  topic: string;
+  product: P;
+  /** Inclusive at both ends. */
+  fromNs: bigint;
+  toNs: bigint;
+  maxMessages: number;
+  maxBytes: number;
+}
+
+export interface ReadMessage<P extends ProductName = ProductName> {
+  logTimeNs: bigint;
+  publishTimeNs: bigint;
+  sequence: number;
+  sizeBytes: number;
+  /** Null where the page has it already. */
+  product: Products[P] | null;
+}
+
+/** Return what of a product is moved to the page instead of copied. */
+export function transferables(product: Products[ProductName]): Transferable[] {
+  if (product === null || typeof product !== "object") return [];
+  if ("bitmap" in product && product.bitmap instanceof ImageBitmap) return [product.bitmap];
+  return isSceneMessage(product) ? sceneBuffers(product) : [];
+}
+
+function isSceneMessage(product: object): product is SceneMessage {
+  return "content" in product && "stampSeconds" in product;
+}
