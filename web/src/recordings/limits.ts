@@ -27,6 +27,17 @@ export const READ_AHEAD = 4 * MIB;
 export const MAX_BYTES_UNCONFIRMED = 32 * MIB;
 /** The largest picture, in pixels. */
 export const MAX_PIXELS = 64 * 1_000_000;
+/** Points of one message that are drawn; of more, every n-th. */
+export const MAX_POINTS = 300_000;
+/** Cells of an occupancy grid that are drawn. */
+export const MAX_GRID_CELLS = 2_000_000;
+/** Markers of a topic, and points of all markers of a message. */
+export const MAX_MARKERS = 5_000;
+export const MAX_MARKER_POINTS = 100_000;
+/** Transforms of one message, frames of a recording, and transforms of a frame at different times. */
+export const MAX_TRANSFORMS = 2_000;
+export const MAX_FRAMES = 5_000;
+export const MAX_TRANSFORM_SAMPLES = 20_000;
 /** Values inside one message that are decoded, such as elements of arrays of messages. */
 export const MAX_VALUES = 200_000;
 /** How deep messages may nest. */

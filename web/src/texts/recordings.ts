@@ -46,6 +46,10 @@ export const failures: Readonly<Record<FailureCode, FailureText>> = {
   picture_unreadable: { title: (detail) => `This image is not readable${INSIDE(detail)}`, remedy: "Try another time. Other images can be intact." },
   picture_too_large: { title: (detail) => `This image is too large to display (${detail})`, remedy: DOWNLOAD },
   pixels_unknown: { title: (detail) => `The preview does not support this image format${INSIDE(detail)}`, remedy: DOWNLOAD },
+  not_spatial: { title: (detail) => `Messages of this type are not shown in 3D${INSIDE(detail)}`, remedy: "Choose another topic." },
+  cloud_unreadable: { title: (detail) => `These points are not readable${INSIDE(detail)}`, remedy: "Try another time. Other messages can be intact." },
+  pose_unreadable: { title: () => "This message has no pose of finite numbers", remedy: "Try another time. Other messages can be intact." },
+  grid_unreadable: { title: (detail) => `This grid is not readable${INSIDE(detail)}`, remedy: "Try another time. Other messages can be intact." },
   range_outside: { title: () => "Nothing was recorded in this time range", remedy: "Choose a time range within the recording." },
   not_sliceable: { title: (detail) => `A browser cannot make a slice of this recording: ${detail}`, remedy: "Run the command below instead." },
   not_saved: {
