@@ -85,6 +85,54 @@ export const texts = {
   undecoded: (why: string) => `${why}. These are its first bytes:`,
   noFields: "The message has no fields.",
 
+  unreadShare: (share: string) => `${share} of the time was not read.`,
+  readRest: "Read all",
+  mapOf: (topics: string) => `Map of ${topics}`,
+  mapKeys: "Drag to move, turn the wheel to zoom. Keys: arrows, +, -, and 0 to show everything. Click on a track to go to its time.",
+  zoomIn: "Zoom in",
+  zoomOut: "Zoom out",
+  fit: "Show everything",
+  length: (metres: number) => (metres >= 1_000 ? `${metres / 1_000} km` : metres >= 1 ? `${metres} m` : `${Number((metres * 100).toPrecision(2))} cm`),
+  position: (latitude: number, longitude: number) => `${latitude.toFixed(7)}°, ${longitude.toFixed(7)}°`,
+  altitude: (metres: number) => `${metres.toFixed(2)} m`,
+  noPosition: "No position",
+  withoutPosition: (count: number) => `${counted(count, "message")} without a position`,
+  shapes: (count: number) => counted(count, "shape"),
+
+  noValueYet: "No value at this time",
+  stateFor: (value: string, duration: string) => `${value}, for ${duration}`,
+  severalValues: (duration: string) => `Several values, within ${duration}`,
+  statesOf: (field: string, changes: number) => `Values of ${field} over time: ${counted(changes, "part")} with one value each`,
+  previousChange: (field: string) => `Previous change of ${field}`,
+  nextChange: (field: string) => `Next change of ${field}`,
+  noStates: "These messages have no texts, truth values or whole numbers.",
+  statesRegion: "Values over time",
+  windowOf: (from: string, to: string) => `${from} to ${to}`,
+
+  columns: "Columns",
+  copyRows: "Copy as CSV",
+  rowsCopied: (rows: number) => `${counted(rows, "row")} copied as CSV.`,
+  notCopied: "The browser does not allow copying.",
+  rowsAround: (rows: number) => `${counted(rows, "message")} around this time`,
+
+  frameTree: "Tree of frames",
+  frame: "Frame",
+  reference: "Relative to",
+  relativeTo: "relative to",
+  translation: "x, y, z [m]",
+  rotation: "roll, pitch, yaw [°]",
+  age: (duration: string) => `${duration} old`,
+  isStatic: "static",
+  inLoop: "loop: the frame is its own ancestor",
+  otherParents: (parents: string) => `also below ${parents}`,
+  moreFrames: (count: number) => `${counted(count, "more frame")} are not shown.`,
+  noFrames: "No transforms shortly before this time.",
+  noTransform: {
+    frame_unknown: (frame: string) => `No transform names the frame ${frame} at this time.`,
+    not_connected: (frame: string) => `The frame ${frame} is in another tree.`,
+    loop: (frame: string) => `The frames above ${frame} form a loop, so it has no pose.`,
+  },
+
   level: "Level",
   levels: { debug: "Debug", info: "Info", warning: "Warning", error: "Error", fatal: "Fatal" },
   logFilter: "Filter text",
@@ -98,4 +146,4 @@ export const texts = {
   noLines: "No line matches.",
 } as const;
 
-export const panelTexts = { image: "Image", plot: "Plot", raw: "Raw messages", log: "Log" } as const;
+export const panelTexts = { image: "Image", plot: "Plot", raw: "Raw messages", log: "Log", map: "Map", states: "State timeline", table: "Table", tf: "Frames" } as const;

@@ -1,4 +1,5 @@
 import { describe, expect, it } from "vitest";
+import type { Value } from "../decoding/decoder";
 import turtles from "../testing/turtle_transforms.json";
 import { MAX_TRANSFORM_SAMPLES } from "../limits";
 import { between, followedBy, inverse, type Pose } from "./poses";
@@ -114,7 +115,7 @@ describe("transformsOf", () => {
 
   it("leaves out what is no transform", () => {
     const broken = { ...transform, translation: { x: NaN, y: 0, z: 0 } };
-    const items = [null, {}, { header: { frame_id: "map" }, child_frame_id: "base", transform: broken }, { header: { frame_id: "a" }, child_frame_id: "a", transform }];
+    const items: Value[] = [null, {}, { header: { frame_id: "map" }, child_frame_id: "base", transform: broken }, { header: { frame_id: "a" }, child_frame_id: "a", transform }];
     expect(transformsOf({ transforms: items })).toEqual([]);
     expect(transformsOf("text")).toEqual([]);
   });
