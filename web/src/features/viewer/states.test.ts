@@ -13,7 +13,7 @@ const MODES = [message(0, "idle"), message(10, "idle"), message(20, "drive"), me
 const runs = runsOf([{ fileId: "f", fromNs: 0n, toNs: 100n, content: withStates(EMPTY_RUNS, MODES) }], "mode");
 
 function schemaOf(definition: string, name = "pkg/msg/Type"): Schema {
-  return { name, encoding: "ros2msg", messageEncoding: "cdr", definition: new TextEncoder().encode(definition) } as Schema;
+  return { name, encoding: "ros2msg", messageEncoding: "cdr", definition: new TextEncoder().encode(definition) };
 }
 
 describe("a state timeline", () => {

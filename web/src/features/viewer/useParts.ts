@@ -72,7 +72,7 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
     const others = parts.value;
     let { empty: content } = gathering;
     let pages = 0;
-    for (let { fromNs } = part; fromNs <= part.toNs && pages < maxPages && !signal.aborted; pages += 1) {
+    for (let { fromNs } = part; fromNs <= part.toNs && pages < maxPages; pages += 1) {
       const request = { product: gathering.product, fromNs, toNs: part.toNs, maxMessages: PAGE_MESSAGES, maxBytes: PAGE_BYTES };
       const answer = await sources.messages(file, series(), request, { signal, priority: priority() + AFTER_MESSAGES });
       if (signal.aborted) break;

@@ -1,6 +1,6 @@
 /** Where on the earth a message says that something is: a position of GNSS (WGS 84), or the shapes of GeoJSON.
  *
- * Sources: sensor_msgs/NavSatFix, foxglove.LocationFix, geographic_msgs, RFC 7946 (GeoJSON).
+ * Sources: sensor_msgs/NavSatFix, gps_msgs/GPSFix, foxglove.LocationFix, geographic_msgs, RFC 7946 (GeoJSON).
  */
 
 import type { Value } from "../decoding/decoder";
@@ -27,7 +27,7 @@ export interface Location {
   shapes: Shape[];
 }
 
-const FIX = /^(sensor_msgs\/(msg\/)?NavSatFix|foxglove(\.|_msgs\/(msg\/)?)LocationFix|geographic_msgs\/(msg\/)?Geo(Point|PointStamped|Pose|PoseStamped))$/;
+const FIX = /^(gps_(common|msgs)\/(msg\/)?GPSFix|sensor_msgs\/(msg\/)?NavSatFix|foxglove(\.|_msgs\/(msg\/)?)LocationFix|geographic_msgs\/(msg\/)?Geo(Point|PointStamped|Pose|PoseStamped))$/;
 const SHAPES = /^foxglove(\.|_msgs\/(msg\/)?)GeoJSON$/;
 /** Where messages have the position, the outermost first. */
 const PLACES: readonly (readonly string[])[] = [[], ["position"], ["pose", "position"]];
