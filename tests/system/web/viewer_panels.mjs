@@ -137,6 +137,7 @@ async function tableOf(file, topic, time) {
   const csv = await page.evaluate("navigator.clipboard.readText()");
   const clicked = await headAfter(() => page.locator("[data-table] tbody tr").nth(2).locator("button").click());
   const result = { rows, current, csv, clicked, violations: await violations() };
+  await page.locator("[data-table][data-rows]").waitFor();
   await picture("table");
   return result;
 }

@@ -17,12 +17,16 @@ export interface RowsRead {
 
 const MAX_MESSAGES = 500;
 const MAX_BYTES = 4 * 2 ** 20;
-/** Further rows are read when the play head has passed this share of the known ones. */
+/** Further rows are read when the play head has passed this share of the known time. */
 const READ_AHEAD_SHARE = 0.75;
+/** And when it has gone back to this part of the time that was read before it. */
+const BACK_PARTS = 3n;
 
 /** Rows without a gap. */
 interface Known extends Span {
   readonly key: string;
+  /** Before this time, too few rows are before the play head. */
+  readonly backNs: bigint;
   readonly rows: readonly TableRow[];
 }
 
@@ -38,9 +42,10 @@ export function useRows(series: () => Series | undefined, priority: () => number
 
   function isKnown(timeNs: bigint): boolean {
     if (own.value === null) return false;
-    const { fromNs, toNs } = own.value;
+    const { fromNs, toNs, backNs } = own.value;
     const passed = Number(timeNs - fromNs) / Math.max(1, Number(toNs - fromNs));
-    return timeNs >= fromNs && timeNs <= toNs && (passed < READ_AHEAD_SHARE || toNs >= clock.span.toNs);
+    const hasBefore = timeNs >= backNs || fromNs <= clock.span.fromNs;
+    return hasBefore && timeNs >= fromNs && timeNs <= toNs && (passed < READ_AHEAD_SHARE || toNs >= clock.span.toNs);
   }
 
   /** Reads messages of a part of the time, from one file after the other. */
@@ -55,20 +60,21 @@ export function useRows(series: () => Series | undefined, priority: () => number
       if (answer !== null && answer.untilNs < toNs) toNs = answer.untilNs;
     }
     const inOrder = read.filter(({ timeNs }) => timeNs <= toNs).toSorted((a, b) => (a.timeNs < b.timeNs ? -1 : 1));
-    return { key: keyOf(source), fromNs: part.fromNs, toNs, rows: inOrder };
+    return { key: keyOf(source), fromNs: part.fromNs, toNs, backNs: part.fromNs, rows: inOrder };
   }
 
   async function readAround(source: Series, timeNs: bigint, signal: AbortSignal): Promise<Known> {
     const topic = topics.find(({ recording, name }) => recording === source.recording && name === source.topic);
     const part = windowAround(timeNs, clock.span, topic?.count ?? null);
     const around = await readSpan(source, part, signal);
-    if (around.rows.some((row) => row.timeNs <= timeNs) && around.toNs >= timeNs) return around;
+    if (around.rows.some((row) => row.timeNs <= timeNs) && around.toNs >= timeNs) return { ...around, backNs: part.fromNs + (timeNs - part.fromNs) / BACK_PARTS };
     // No message before the play head in this time, or too many: begin with the one that is valid.
     const request = { which: "valid", atNs: timeNs, product: "plain", shownNs: null, maxBytes: MAX_SEARCH_BYTES } as const;
     const { message } = await sources.message(source, request, { signal, priority: priority() });
     const behind = around.toNs >= timeNs ? around : await readSpan(source, { fromNs: timeNs + 1n, toNs: part.toNs }, signal);
     const first = message === null ? [] : [{ timeNs: message.logTimeNs, value: message.product }];
-    return { ...behind, fromNs: message?.logTimeNs ?? timeNs, rows: [...first, ...behind.rows] };
+    const fromNs = message?.logTimeNs ?? timeNs;
+    return { ...behind, fromNs, backNs: fromNs, rows: [...first, ...behind.rows] };
   }
 
   const ask = latest(async ({ source, timeNs }: { source: Series; timeNs: bigint }) => {
