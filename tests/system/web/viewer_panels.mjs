@@ -1,30 +1,15 @@
 // The viewer's panels of positions, states, rows and frames: opens each at a time, reads what it shows, and uses it.
 // Prints the results as JSON. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's
-// address, a folder for pictures or "-", and what to open as JSON.
-import { readFile } from "node:fs/promises";
-import { join } from "node:path";
-import { launchBrowser } from "./chromium.mjs";
-import { isEnvironmentError } from "./console_errors.mjs";
+// address, the folder for screenshots, and what to open as JSON.
+import { openBrowser } from "./browsing.mjs";
 
 const [web, executablePath, link, address, pictures, request] = process.argv.slice(2);
-const { auv, drive, times } = JSON.parse(request);
-const TIMEOUT_MS = 60_000;
-const PHONE = { width: 390, height: 844 };
-const DESKTOP = { width: 1280, height: 900 };
-
-const browser = await launchBrowser(web, executablePath);
-const context = await browser.newContext({ permissions: ["clipboard-read", "clipboard-write"], viewport: DESKTOP });
-const page = await context.newPage();
-page.setDefaultTimeout(TIMEOUT_MS);
+const { auv, drive, turtles, times } = JSON.parse(request);
+const { results, openPage, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
+const { context, page } = await openPage();
+await context.grantPermissions(["clipboard-read", "clipboard-write"]);
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
-const axe = await readFile(join(web, "node_modules/axe-core/axe.min.js"), "utf8");
-
-const consoleErrors = [];
-page.on("console", (message) => {
-  if (["error", "warning"].includes(message.type()) && !isEnvironmentError(message.text())) consoleErrors.push(message.text());
-});
-page.on("pageerror", (error) => consoleErrors.push(error.message));
 
 const texts = (selector) => page.locator(selector).allTextContents();
 const attribute = (selector, name) => page.locator(selector).first().getAttribute(name);
@@ -44,25 +29,6 @@ async function headAfter(act) {
   return playHead();
 }
 
-async function picture(name) {
-  if (pictures === "-") return;
-  for (const colorScheme of ["light", "dark"]) {
-    await page.emulateMedia({ colorScheme });
-    await page.screenshot({ path: `${pictures}/viewer-${name}-${colorScheme}.png` });
-  }
-  await page.setViewportSize(PHONE);
-  await page.waitForTimeout(500);
-  await page.screenshot({ path: `${pictures}/viewer-${name}-phone.png`, fullPage: true });
-  await page.setViewportSize(DESKTOP);
-  await page.emulateMedia({ colorScheme: "light" });
-}
-
-async function violations() {
-  await page.evaluate(axe);
-  const { violations: failed } = await page.evaluate("axe.run('[data-panel]')");
-  return failed.map(({ id, nodes }) => `${id}: ${nodes[0]?.html}`);
-}
-
 async function mapOf(file, topic, time) {
   await open(file, time, `map:KEY@${topic}`);
   const row = `[data-series="${topic}"]`;
@@ -76,9 +42,8 @@ async function mapOf(file, topic, time) {
     path: await attribute("[data-track]", "d"),
     metresPerPixel: Number(await attribute("[data-map]", "data-metres-per-pixel")),
     hasHead: (await page.locator("[data-head]").count()) === 1,
-    violations: await violations(),
   };
-  await picture(`map-${topic.replaceAll("/", "")}`);
+  await checkPage(page, `viewer-map${topic.replaceAll("/", "-")}`);
   return result;
 }
 
@@ -90,6 +55,8 @@ async function clickTrackStart() {
 /** Zooms and moves by wheel and keys; returns how the scale changed. */
 async function zoomMap() {
   const scale = async () => Number(await attribute("[data-map]", "data-metres-per-pixel"));
+  // The window has its size again.
+  await page.waitForFunction((fitted) => Number(document.querySelector("[data-map]").dataset.metresPerPixel) === fitted, results.map.metresPerPixel);
   const [whole, head] = [await scale(), await playHead()];
   await page.locator("[data-map]").hover();
   await page.mouse.wheel(0, -240);
@@ -123,8 +90,8 @@ async function statesOf(file, topic, time) {
   const previous = await headAfter(() => row.getByRole("button", { name: "Previous change" }).click());
   const box = await row.locator("[data-strip]").boundingBox();
   const clicked = await headAfter(() => row.locator("[data-strip]").click({ position: { x: box.width / 2, y: 10 } }));
-  const result = { rows, next, describedNext, previous, clicked, violations: await violations() };
-  await picture("states");
+  const result = { rows, next, describedNext, previous, clicked };
+  await checkPage(page, "viewer-states");
   return result;
 }
 
@@ -136,30 +103,31 @@ async function tableOf(file, topic, time) {
   await page.getByRole("button", { name: "Copy as CSV" }).click();
   const csv = await page.evaluate("navigator.clipboard.readText()");
   const clicked = await headAfter(() => page.locator("[data-table] tbody tr").nth(2).locator("button").click());
-  const result = { rows, current, csv, clicked, violations: await violations() };
+  const result = { rows, current, csv, clicked };
   await page.locator("[data-table][data-rows]").waitFor();
-  await picture("table");
+  await checkPage(page, "viewer-table");
   return result;
 }
 
-async function framesOf(file, topic, time, frame, reference) {
-  await open(file, time, `tf:KEY@${topic},${frame},${reference}`);
+async function framesOf(file, time, frame, reference) {
+  await open(file, time, `tf:KEY@/tf,${frame},${reference}`);
   await page.locator("[data-frames][data-count] [data-translation]").waitFor();
   const rows = await page.locator("[data-frame]").evaluateAll((elements) =>
     elements.map((element) => ({ frame: element.dataset.frame, depth: Number(element.dataset.depth), time: element.querySelector(".age")?.dataset.time ?? null, text: element.querySelector(".age")?.textContent ?? null })),
   );
-  const result = { rows, translation: (await texts("[data-translation]"))[0], rotation: (await texts("[data-rotation]"))[0], violations: await violations() };
-  await picture("frames");
-  return result;
+  return { rows, translation: (await texts("[data-translation]"))[0], rotation: (await texts("[data-rotation]"))[0] };
 }
 
-const results = { map: await mapOf(drive, "/fix", times.drive) };
+results.map = await mapOf(drive, "/fix", times.drive);
 results.zoom = await zoomMap();
 results.clicked = await clickTrackStart();
-results.withoutFix = await mapOf(auv, "/coug2/fix", times.fix);
-results.states = await statesOf(auv, "/coug2/fix", times.states);
+results.withoutFix = await mapOf(auv, "/coug2/fix", times.auv);
+results.states = await statesOf(auv, "/coug2/fix", times.auv);
 results.table = await tableOf(drive, "/imu/data", times.drive);
-results.frames = await framesOf(auv, "/tf", times.frames, times.frame, times.reference);
-results.consoleErrors = consoleErrors;
-await browser.close();
-process.stdout.write(JSON.stringify(results));
+results.auvFrames = await framesOf(auv, times.auvFrames, "coug2.robot", "enu");
+results.turtleFrames = await framesOf(turtles, times.turtles, "carrot", "turtle2");
+await checkPage(page, "viewer-frames");
+await page.getByRole("button", { name: "world" }).click();
+await page.waitForFunction((before) => document.querySelector("[data-translation]")?.textContent !== before, results.turtleFrames.translation);
+results.selected = { translation: (await texts("[data-translation]"))[0], address: decodeURIComponent(page.url()) };
+await printResults();

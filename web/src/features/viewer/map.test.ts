@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { fitted, gridLines, linePath, metresPerPixel, nearest, panned, scaleBar, toPixels, worldPoint, zoomed } from "./map_view";
-import { EMPTY_TRACK, MAX_TRACK_POINTS, trackPlaces, withPositions, type Track } from "./track";
+import { EMPTY_TRACK, mapShapes, MAX_TRACK_POINTS, trackPlaces, withPositions, type Track } from "./track";
 import { locationOf } from "@/recordings/products/location";
 import type { ReadMessage } from "@/recordings/products/products";
 
@@ -111,6 +111,8 @@ describe("the location of a message", () => {
     const { shapes } = locationOf({ geojson });
     expect(shapes.map(({ kind, positions }) => [kind, positions.length])).toEqual([["line", 2], ["area", 4]]);
     expect(shapes[0]?.positions[1]).toEqual({ latitude: 47.4, longitude: 8.6, altitude: 500 });
+    const drawn = mapShapes({ position: null, shapes }, 0.5);
+    expect([drawn.lines.map(({ isStart }) => isStart), drawn.areas.length, drawn.points.length]).toEqual([[true, false], 4, 0]);
   });
 
   it("is bounded, and damaged GeoJSON is a named failure", () => {

@@ -1,7 +1,7 @@
 // The track of a topic: its positions over time, thinned so that it stays small.
 import { worldPoint, type LinePlace, type WorldPoint } from "./map_view";
 import type { ReadPart } from "./useParts";
-import type { Location, Position } from "@/recordings/products/location";
+import type { Location, Position, Shape } from "@/recordings/products/location";
 import type { ReadMessage } from "@/recordings/products/products";
 
 export interface TrackPoint extends Position {
@@ -75,23 +75,16 @@ export function trackPlaces(parts: readonly ReadPart<Track>[], anchorX: number):
   });
 }
 
-/** What a map knows of one of its topics. */
-export interface MapSeriesState {
-  readonly parts: readonly ReadPart<Track>[];
-  /** What is valid at the play head. */
-  readonly location: Location | null;
-  readonly isReading: boolean;
-}
-
-/** What a topic has on the map. */
-export interface MapLayer {
-  readonly key: string;
-  /** The number of its colour, from 1. */
-  readonly colour: number;
-  readonly track: readonly TrackPlace[];
+/** The shapes that a topic has on the map at the play head. */
+export interface MapShapes {
   readonly lines: readonly LinePlace[];
   readonly areas: readonly LinePlace[];
   readonly points: readonly WorldPoint[];
-  /** Where it is at the play head. */
-  readonly head: WorldPoint | null;
+}
+
+/** Returns the shapes of a location as places. */
+export function mapShapes(location: Location | null, anchorX: number): MapShapes {
+  const places = (kind: Shape["kind"]): LinePlace[] =>
+    (location?.shapes ?? []).filter((shape) => shape.kind === kind).flatMap(({ positions }) => positions.map((position, at) => ({ ...worldPoint(position, anchorX), isStart: at === 0 })));
+  return { lines: places("line"), areas: places("area"), points: places("point") };
 }
