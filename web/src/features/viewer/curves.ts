@@ -4,9 +4,13 @@ import type { Span } from "@/recordings/formats/recording";
 import type { DrawnCurves } from "@/recordings/protocol";
 import type { SourceFile } from "./sources";
 
-/** A part of a file whose curves were read. */
-export interface Segment extends Span {
+/** A part of a file that was read. */
+export interface FilePart extends Span {
   readonly fileId: string;
+}
+
+/** A part of a file whose curves were read. */
+export interface Segment extends FilePart {
   /** Seconds since the beginning of the viewer's time. */
   readonly seconds: readonly number[];
   /** By field. */
@@ -52,7 +56,7 @@ export function emptySegment(fileId: string, part: Span): Segment {
 }
 
 /** Returns the parts of a file that no segment covers, in order. */
-export function unreadParts({ id, span }: SourceFile, segments: readonly Segment[]): Span[] {
+export function unreadParts({ id, span }: SourceFile, segments: readonly FilePart[]): Span[] {
   const own = segments.filter(({ fileId }) => fileId === id).toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1));
   const parts: Span[] = [];
   let fromNs = span.fromNs;

@@ -28,6 +28,8 @@ it("shows a topic of several recordings once, and no topic without messages", ()
 it("offers the panels that show a type", () => {
   const kinds = (type: string) => kindsFor(topic("/t", type)).map(({ kind }) => kind);
   expect(kinds("sensor_msgs/Image")).toEqual(["image", "raw"]);
-  expect(kinds("rcl_interfaces/msg/Log")).toEqual(["plot", "raw", "log"]);
-  expect(kinds("my_msgs/Anything")).toEqual(["plot", "raw"]);
+  expect(kinds("rcl_interfaces/msg/Log")).toEqual(["plot", "raw", "log", "states", "table"]);
+  expect(kinds("my_msgs/Anything")).toEqual(["plot", "raw", "states", "table"]);
+  expect(kinds("sensor_msgs/NavSatFix")).toEqual(["map", "plot", "raw", "states", "table"]);
+  expect(kinds("tf2_msgs/msg/TFMessage")).toEqual(["plot", "raw", "table", "tf"]);
 });

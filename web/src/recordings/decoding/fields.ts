@@ -1,11 +1,11 @@
-/** The numeric fields of a message: the tree of fields, their paths, and access by path. */
+/** The fields of a message: the tree of fields, their paths, and access by path. */
 
 import { MAX_DEPTH, MAX_ELEMENTS, MAX_FIELDS } from "../limits";
 import { isFields, isNumbers, type Value } from "./decoder";
 
 export type Step = string | number;
 
-/** A node of the tree of fields: a number (`path`), or a group of others. */
+/** A node of the tree of fields: a value (`path`), or a group of others. */
 export interface FieldNode {
   label: string;
   /** What the field is called, such as `pose.position.x` or `covariance[0]`; null for a group. */
@@ -18,20 +18,27 @@ export interface FieldNode {
 const PLAIN = /^[A-Za-z_][A-Za-z0-9_]*$/;
 const STEP = /\.?([A-Za-z_][A-Za-z0-9_]*)|\[(\d{1,9})\]|\[("(?:[^"\\]|\\.)*")\]/y;
 
-/** Return the numeric fields of a message, up to MAX_FIELDS; arrays with their first elements. */
-export function fieldTree(value: Value): FieldNode[] {
-  const budget = { fields: MAX_FIELDS };
+/** Whether a value is offered as a field. */
+type IsField = (value: Value) => boolean;
+
+function isNumeric(value: Value): boolean {
+  return typeof value === "number" || typeof value === "boolean";
+}
+
+/** Return the fields of a message, up to MAX_FIELDS; the numeric ones if absent. Arrays have their first elements. */
+export function fieldTree(value: Value, isField: IsField = isNumeric): FieldNode[] {
+  const budget = { fields: MAX_FIELDS, isField };
   return children(value, "", MAX_DEPTH, budget).nodes;
 }
 
-function children(value: Value, prefix: string, depth: number, budget: { fields: number }): { nodes: FieldNode[]; hidden: number } {
+function children(value: Value, prefix: string, depth: number, budget: { fields: number; isField: IsField }): { nodes: FieldNode[]; hidden: number } {
   if (depth === 0) return { nodes: [], hidden: 0 };
   const [entries, hidden] = entriesOf(value);
   const nodes: FieldNode[] = [];
   for (const [step, inner] of entries) {
     if (budget.fields <= 0) break;
     const path = prefix + stepText(step, prefix === "");
-    if (typeof inner === "number" || typeof inner === "boolean") {
+    if (budget.isField(inner)) {
       budget.fields -= 1;
       nodes.push({ label: label(step), path, children: [], hidden: 0 });
       continue;
@@ -84,13 +91,19 @@ function unquoted(text: string): string {
   }
 }
 
-/** Return the number at the end of the steps; null where there is none, or none that is finite. */
-export function numberAt(value: Value, steps: readonly Step[]): number | null {
+/** Return the value at the end of the steps; undefined where there is none. */
+export function valueAt(value: Value, steps: readonly Step[]): Value | undefined {
   let here: Value | undefined = value;
   for (const step of steps) {
     if (typeof step === "number") here = Array.isArray(here) || isNumbers(here) ? here[step] : undefined;
     else here = isFields(here) && Object.hasOwn(here, step) ? here[step] : undefined;
   }
+  return here;
+}
+
+/** Return the number at the end of the steps; null where there is none, or none that is finite. */
+export function numberAt(value: Value, steps: readonly Step[]): number | null {
+  const here = valueAt(value, steps);
   if (typeof here === "boolean") return here ? 1 : 0;
   return typeof here === "number" && Number.isFinite(here) ? here : null;
 }

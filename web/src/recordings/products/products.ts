@@ -4,16 +4,23 @@ import type { Message } from "../formats/recording";
 import type { Value } from "../decoding/decoder";
 import { drawnPicture, type DrawnPicture } from "./drawn_picture";
 import { sceneBuffers, sceneMessage, type SceneMessage } from "../geometry/scene_message";
+import { fieldTypes, type FieldTypes } from "./field_types";
+import { locationOf, type Location } from "./location";
 import { transformsOf, type Transform } from "../geometry/transforms";
 import { plainValue, type PlainValue } from "./plain_value";
+import { statesOf, type States } from "./states";
 import { messageTree, type MessageTree } from "./tree";
 
 /** Products by name. `time` is for those who need to know only when a message comes. */
 export interface Products {
+  /** Of the definition: the same for all messages of a topic. */
+  fieldTypes: FieldTypes | null;
+  location: Location;
   picture: DrawnPicture;
   plain: PlainValue;
   /** What is shown in space. */
   scene: SceneMessage;
+  states: States;
   time: null;
   transforms: readonly Transform[];
   tree: MessageTree;
@@ -25,9 +32,12 @@ export type ProductName = keyof Products;
 export type Make<P extends ProductName> = (message: Message, decode: () => Value) => Products[P] | Promise<Products[P]>;
 
 export const makers: { readonly [P in ProductName]: Make<P> } = {
+  fieldTypes: ({ channel }) => fieldTypes(channel.schema),
+  location: (_, decode) => locationOf(decode()),
   picture: (_, decode) => drawnPicture(decode()),
   plain: (_, decode) => plainValue(decode()),
   scene: ({ channel }, decode) => sceneMessage(channel.schema.name, decode()),
+  states: (_, decode) => statesOf(decode()),
   time: () => null,
   transforms: (_, decode) => transformsOf(decode()),
   tree: messageTree,

@@ -1,9 +1,7 @@
 /** A message as a tree of fields with their types; as bytes, where nothing decodes it. Of bounded size. */
 
-import type { MessageDefinition } from "@foxglove/message-definition";
-import { parse } from "@foxglove/rosmsg";
-import { isFields, isNumbers, withService, type Numbers, type Value } from "../decoding/decoder";
-import { wellKnownDefinitions } from "../decoding/well_known";
+import { isFields, isNumbers, type Numbers, type Value } from "../decoding/decoder";
+import { rosDefinitions } from "../decoding/definitions";
 import { failureOf, type FailureCode } from "../failures";
 import type { Message, Schema } from "../formats/recording";
 import { MAX_DEPTH } from "../limits";
@@ -32,7 +30,6 @@ const MAX_TEXT = 4_000;
 const MAX_BYTES = 1_024;
 /** Times are decoded to doubles, which resolve a quarter of a microsecond. */
 const TIME_DIGITS = 6;
-const TEXT = new TextDecoder();
 
 /** Return the tree of a message. */
 export function messageTree({ channel: { schema }, data }: Message, decode: () => Value): MessageTree {
@@ -138,16 +135,9 @@ function typesOf(schema: Schema): Types | null {
   return types;
 }
 
-function rosTypes({ name, encoding, messageEncoding, definition }: Schema): Types | null {
-  const isRos2 = messageEncoding === "cdr";
-  const text = encoding === "" && isRos2 ? wellKnownDefinitions(name)[0] : withService(TEXT.decode(definition), name);
-  if (text === undefined || (messageEncoding !== "ros1" && !(isRos2 && ["ros2msg", ""].includes(encoding)))) return null;
-  let definitions: MessageDefinition[];
-  try {
-    definitions = parse(text, { ros2: isRos2 });
-  } catch {
-    return null; // the decoder says why
-  }
+function rosTypes(schema: Schema): Types | null {
+  const definitions = rosDefinitions(schema);
+  if (definitions === null) return null;
   const byName = new Map(definitions.map((one, place) => [place === 0 ? "" : (one.name ?? ""), one]));
   const field = (type: string, fieldName: string): string | undefined => {
     const match = byName.get(type.replace(/\[[^\]]*\]$/, ""))?.definitions.find((one) => one.name === fieldName && one.isConstant !== true);

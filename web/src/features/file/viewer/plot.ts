@@ -20,10 +20,14 @@ export function shortNumber(value: number | null | undefined): string {
   return value.toExponential(5);
 }
 
+/** Returns a cell of CSV. */
+export function quoted(text: string): string {
+  return /[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+}
+
 /** Returns the rows as CSV, every digit kept; `start` is the log time that seconds count from. */
 export function csvOf(names: readonly string[], rows: readonly Row[], startNs: bigint): string {
-  const quote = (text: string): string => (/[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-  const head = [`seconds since ${startNs} ns`, ...names].map(quote).join(",");
+  const head = [`seconds since ${startNs} ns`, ...names].map(quoted).join(",");
   const lines = rows.map(({ seconds, values }) => [seconds, ...values.map((value) => value ?? "")].join(","));
   return [head, ...lines, ""].join("\n");
 }

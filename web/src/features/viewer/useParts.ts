@@ -1,0 +1,132 @@
+// Reads what a panel gathers from the messages of one topic: the beginning up to a limit, what is around the play head,
+// and the rest on demand.
+import { computed, onScopeDispose, ref, shallowRef, watch, type ComputedRef, type Ref } from "vue";
+import { partAround, unreadParts, type FilePart } from "./curves";
+import type { Series } from "./layout";
+import type { SourceFile } from "./sources";
+import { useViewer } from "./viewer";
+import { failureOf, type ReadFailure } from "@/recordings/failures";
+import type { Span } from "@/recordings/formats/recording";
+import type { ProductName, ReadMessage } from "@/recordings/products/products";
+
+/** What is made of messages, in order of time. Of bounded size, however many messages are added. */
+export interface Gathering<P extends ProductName, Content> {
+  readonly product: P;
+  readonly empty: Content;
+  readonly add: (content: Content, messages: readonly ReadMessage<P>[]) => Content;
+}
+
+export interface ReadPart<Content> extends FilePart {
+  readonly content: Content;
+}
+
+export interface PartsRead<Content> {
+  /** In order of time. */
+  readonly parts: ComputedRef<readonly ReadPart<Content>[]>;
+  readonly unread: ComputedRef<readonly Span[]>;
+  readonly failure: Ref<ReadFailure | null>;
+  readonly isReading: Ref<boolean>;
+  readonly readAll: () => void;
+  readonly again: () => void;
+}
+
+const PAGE_MESSAGES = 2_000;
+const PAGE_BYTES = 4 * 2 ** 20;
+/** Pages that are read unasked: of the beginning, and around the play head. */
+const BEGINNING_PAGES = 4;
+const AROUND_PAGES = 2;
+/** What is gathered comes after the messages at the time of the play head. */
+const AFTER_MESSAGES = 1_000;
+
+type Read = (file: SourceFile, part: Span, maxPages: number) => Promise<number>;
+
+/** Gathers messages of a series, and follows it and the play head. */
+export function useParts<P extends ProductName, Content>(series: () => Series, gathering: Gathering<P, Content>, priority: () => number): PartsRead<Content> {
+  const { clock, sources } = useViewer();
+  const parts = shallowRef<readonly ReadPart<Content>[]>([]);
+  const failure = shallowRef<ReadFailure | null>(null);
+  const isReading = ref(false);
+  let controller = new AbortController();
+
+  const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
+  const unread = computed(() => files.value.flatMap((file) => unreadParts(file, parts.value)));
+
+  /** Runs one reading at a time, which ends when the series changes. */
+  async function attempt(act: (read: Read) => Promise<void>): Promise<void> {
+    if (isReading.value) return;
+    const own = controller;
+    isReading.value = true;
+    failure.value = null;
+    try {
+      await act((file, part, maxPages) => read(file, part, maxPages, own.signal));
+    } catch (thrown) {
+      const failed = failureOf(thrown, "worker_ended");
+      if (own === controller && failed.code !== "cancelled") failure.value = failed;
+    } finally {
+      if (own === controller) isReading.value = false;
+    }
+  }
+
+  /** Reads pages of an unread part; returns how many. */
+  async function read(file: SourceFile, part: Span, maxPages: number, signal: AbortSignal): Promise<number> {
+    const others = parts.value;
+    let { empty: content } = gathering;
+    let pages = 0;
+    for (let { fromNs } = part; fromNs <= part.toNs && pages < maxPages; pages += 1) {
+      const request = { product: gathering.product, fromNs, toNs: part.toNs, maxMessages: PAGE_MESSAGES, maxBytes: PAGE_BYTES };
+      const answer = await sources.messages(file, series(), request, { signal, priority: priority() + AFTER_MESSAGES });
+      if (signal.aborted) break;
+      const untilNs = answer?.untilNs ?? part.toNs;
+      content = gathering.add(content, answer?.messages ?? []);
+      parts.value = [...others, { fileId: file.id, fromNs: part.fromNs, toNs: untilNs, content }];
+      fromNs = untilNs + 1n;
+    }
+    return pages;
+  }
+
+  function readBeginning(): Promise<void> {
+    return attempt(async (readPart) => {
+      let pagesLeft = BEGINNING_PAGES;
+      for (const file of files.value) {
+        const [part] = unreadParts(file, parts.value);
+        if (pagesLeft > 0 && part !== undefined) pagesLeft -= await readPart(file, part, pagesLeft);
+      }
+    });
+  }
+
+  function readAll(): Promise<void> {
+    return attempt(async (readPart) => {
+      for (const file of files.value) {
+        for (const part of unreadParts(file, parts.value)) await readPart(file, part, Infinity);
+      }
+    });
+  }
+
+  function readAround(timeNs: bigint): Promise<void> {
+    return attempt(async (readPart) => {
+      for (const file of files.value) {
+        const part = partAround(unreadParts(file, parts.value), timeNs);
+        if (part !== null) await readPart(file, part, AROUND_PAGES);
+      }
+    });
+  }
+
+  function restart(): void {
+    controller.abort();
+    controller = new AbortController();
+    isReading.value = false;
+    parts.value = [];
+    void readBeginning().then(() => follow(clock.timeNs.value));
+  }
+
+  function follow(timeNs: bigint): void {
+    const isUnread = unread.value.some(({ fromNs, toNs }) => timeNs >= fromNs && timeNs <= toNs);
+    if (isUnread && failure.value === null) void readAround(timeNs);
+  }
+
+  watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
+  watch(clock.timeNs, follow);
+  onScopeDispose(() => controller.abort());
+  const inOrder = computed(() => parts.value.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1)));
+  return { parts: inOrder, unread, failure, isReading, readAll: () => void readAll(), again: restart };
+}
