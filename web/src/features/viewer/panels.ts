@@ -68,8 +68,8 @@ export function defaultLayout(topics: readonly ViewerTopic[], kinds: readonly Pa
 function withoutGap(panels: Panel[]): Panel[] {
   const firstWide = panels.findIndex(({ isWide }) => isWide);
   const filler = panels.findIndex(({ isWide }, place) => place > firstWide && !isWide);
-  const isOdd = firstWide % 2 === 1;
-  const sorted = isOdd && filler >= 0 ? panels.toSpliced(filler, 1).toSpliced(firstWide, 0, ...panels.slice(filler, filler + 1)) : panels;
+  const standsAlone = firstWide % 2 === 1;
+  const sorted = standsAlone && filler >= 0 ? panels.toSpliced(filler, 1).toSpliced(firstWide, 0, ...panels.slice(filler, filler + 1)) : panels;
   let column = 0;
   return sorted.map((panel, place) => {
     const isLastOfRow = sorted[place + 1]?.isWide !== false;

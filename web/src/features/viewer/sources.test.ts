@@ -9,7 +9,7 @@ const series = { recording: "k", topic: "/t", fields: [] };
 
 /** Files with messages at these times; null: without the topic. */
 function sourcesOf(times: Readonly<Record<string, readonly bigint[] | null>>, recording = split) {
-  const asked: string[] = [];
+  const requested: string[] = [];
   const closed: string[] = [];
   const openReader = (of: SourceFile): FileReader => ({
     open: () => Promise.reject(new Error("not needed")),
@@ -17,23 +17,23 @@ function sourcesOf(times: Readonly<Record<string, readonly bigint[] | null>>, re
     request: () => Promise.reject(new Error("not needed")),
     close: () => closed.push(of.id),
     message: (({ which, atNs }: MessageRequest) => {
-      asked.push(of.id);
+      requested.push(of.id);
       const own = times[of.id];
       if (own == null) return Promise.reject(new ReadFailure("topic_unknown"));
       const timeNs = which === "next" ? own.find((time) => time > atNs) : own.findLast((time) => (which === "valid" ? time <= atNs : time < atNs));
       const message = timeNs === undefined ? null : { logTimeNs: timeNs, publishTimeNs: timeNs, sequence: 0, sizeBytes: 1, product: null };
       return Promise.resolve({ message, searchedToNs: null, damaged: [] });
-    }) as FileReader["message"],
+    }),
   });
-  return { sources: new Sources([recording], openReader), asked, closed };
+  return { sources: new Sources([recording], openReader), requested, closed };
 }
 
 const request = (which: "valid" | "next" | "previous", atNs: bigint) => ({ which, atNs, product: "time", shownNs: null, maxBytes: 1 }) as const;
 
-it("finds a message in the file of its time, and asks no other", async () => {
-  const { sources, asked } = sourcesOf({ a: [10n], b: [110n, 150n], c: [210n] });
+it("finds a message in the file of its time, and reads no other", async () => {
+  const { sources, requested } = sourcesOf({ a: [10n], b: [110n, 150n], c: [210n] });
   expect((await sources.message(series, request("valid", 120n), {})).message?.logTimeNs).toBe(110n);
-  expect(asked).toEqual(["b"]);
+  expect(requested).toEqual(["b"]);
 });
 
 it("goes to the files before and behind, past those without the topic", async () => {

@@ -55,7 +55,7 @@ it("shows the first bytes of what cannot be decoded, and why", () => {
 
 it("has a bounded size, and says what is hidden", () => {
   const rows = Array.from({ length: 500 }, () => Array.from({ length: 500 }, () => 1));
-  const { nodes } = messageTree(messageOf(json, new Uint8Array()), () => ({ rows }) as Value);
+  const { nodes } = messageTree(messageOf(json, new Uint8Array()), () => ({ rows }));
   const count = (all: readonly TreeNode[]): number => all.reduce((sum, { children }) => sum + 1 + count(children), 0);
   expect(count(nodes)).toBeLessThanOrEqual(4000);
   expect(nodes[0]?.hidden).toBeGreaterThan(400);
@@ -72,5 +72,5 @@ it("makes plain values of bounded size", () => {
   expect(plainValue({ name: "x", level: 3, list: new Float32Array([1, 2]), none: null })).toEqual({ name: "x", level: 3, list: [1, 2], none: null });
   expect((plainValue("x".repeat(10_000)) as string).length).toBe(4000);
   expect((plainValue(new Float64Array(1e6)) as number[]).length).toBeLessThan(2001);
-  expect(Object.getPrototypeOf(plainValue({ ["__proto__"]: 1, x: 2 } as Value))).toBe(Object.prototype);
+  expect(Object.getPrototypeOf(plainValue({ ["__proto__"]: 1, x: 2 }))).toBe(Object.prototype);
 });
