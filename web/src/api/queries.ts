@@ -77,6 +77,7 @@ export const keys = {
   projectActions: (id: string) => ["projects", "one", id, "actions"],
   missionPreviews: (id: string) => ["missions", "one", id, "previews"],
   missionAccess: (id: string) => ["access", "mission", id, "who"],
+  missionEvents: (query: Query = {}) => ["mission-events", "list", query],
   recordings: (missionId: string) => ["missions", "one", missionId, "recordings"],
   uploads: (missionId: string) => ["missions", "one", missionId, "uploads"],
   files: (query: Query = {}) => ["files", "list", query],

@@ -3,7 +3,7 @@ import { counted, formatCount, formatDuration, formatSize } from "@/components/f
 
 export const texts = {
   projects: "Projects",
-  tabs: { label: "Views of the mission", files: "Files", topics: "Topics", runs: "Runs", checks: "Checks", problems: "Warnings", access: "Access and links" },
+  tabs: { label: "Views of the mission", files: "Files", topics: "Topics", events: "Events", runs: "Runs", checks: "Checks", problems: "Warnings", access: "Access and links" },
   verdictIs: (verdict: string) => `Checks: ${verdict}`,
   completed: "Complete",
   completedWhy: "Someone marked the upload of this mission as complete.",

@@ -10,7 +10,7 @@ export const texts = {
   box: "Search files, missions, and topics",
   placeholder: "alps topic:/imu/* size>1GB -label:draft",
   try: "Examples",
-  examples: ["topic:/camera/*", "size>1GB", "content:broken", "after:2026", "-label:draft", "verdict:bad"],
+  examples: ["topic:/camera/*", "size>1GB", "content:broken", "after:2026", "-label:draft", "verdict:bad", "event:stumble"],
   wrong: "Invalid search",
   emptyBox: "Clear search",
 
@@ -20,7 +20,7 @@ export const texts = {
   missions: "Matching missions",
   topics: "Matching topics",
   columns: {
-    file: "File", mission: "Mission", verdict: "Checks", content: "Content", labels: "Labels", start: "Recorded", size: "Size", files: "Files",
+    file: "File", mission: "Mission", verdict: "Checks", content: "Content", labels: "Labels", event: "Event", start: "Recorded", size: "Size", files: "Files",
     topic: "Topic", type: "Type", messages: "Messages",
   },
   firstTopics: (shown: number, all: number) => `Showing the first ${formatCount(shown)} of ${counted(all, "topic")}. Add a term to narrow the search.`,

@@ -22,6 +22,15 @@ export function timesOf(span: Span, fromMs: number, toMs: number): Times {
   return { startNs: fromMs <= 0 ? null : at(fromMs), endNs: toMs >= lengthMs(span) ? null : at(toMs) };
 }
 
+/** Returns the range of a text such as `1747035000000000000-1747035010000000000`, in milliseconds after the start of a recording; null for other texts. */
+export function rangeIn(text: string, span: Span): { readonly fromMs: number; readonly toMs: number } | null {
+  const [, from, to] = /^(\d{1,19})-(\d{1,19})$/.exec(text) ?? [];
+  if (from === undefined || to === undefined) return null;
+  const ms = (ns: bigint): number => Math.min(lengthMs(span), Math.max(0, Number(ns - span.fromNs) / 1e6));
+  const [fromMs, toMs] = [Math.floor(ms(BigInt(from))), Math.ceil(ms(BigInt(to)))];
+  return fromMs < toMs ? { fromMs, toMs } : null;
+}
+
 /** Returns about how many bytes of messages are selected: the share of each topic that the range covers of it. */
 export function estimate(topics: readonly Topic[], span: Span, { startNs, endNs }: Times): number {
   const [from, to] = [Number(startNs ?? span.fromNs), Number(endNs ?? span.toNs)];

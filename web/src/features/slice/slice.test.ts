@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { commandOf, commandOfSeveral, removeEmpty, splitRecording } from "./selection";
+import { commandOf, commandOfSeveral, rangeIn, removeEmpty, splitRecording } from "./selection";
 import type { File, Recording } from "@/api/types";
 
 const MISSION = { id: "m", name: "day", project: { id: "p", name: "Alps" } };
@@ -18,6 +18,13 @@ describe("the command", () => {
   it("of several files names each of them, whatever characters its name has", () => {
     expect(commandOfSeveral(["a.mcap", "-b[1].bag"], MISSION)).toBe("klein cut a.mcap '[-]b[[]1].bag' -p Alps -m day --topics /TOPIC --start +10s --end +20s -o selection.mcap");
   });
+});
+
+it("begins with the range of an address, as far as the recording has it", () => {
+  const span = { fromNs: 1_000_000_000n, toNs: 3_000_000_000n };
+  expect(rangeIn("1500000000-2000000000", span)).toEqual({ fromMs: 500, toMs: 1000 });
+  expect(rangeIn("0-9000000000", span)).toEqual({ fromMs: 0, toMs: 2000 });
+  for (const text of ["", "1", "5-", "2000000000-1500000000", "4000000000-5000000000"]) expect(rangeIn(text, span)).toBeNull();
 });
 
 describe("a file of a recording", () => {
