@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from kleinkram.client.search import Search, Stats
     from kleinkram.client.server import Admin, Audit, Events, Home, Me, Service, Trash
     from kleinkram.client.tokens import Shares, Tokens
+    from kleinkram.client.viewer_layouts import ViewerLayouts
     from kleinkram.recordings.messages import Time
     from kleinkram.recordings.recording import Topics
     from kleinkram.recordings.writing.export import ExportFormat
@@ -76,6 +77,7 @@ class Client:
     uploads: "Uploads"
     checks: "Checks"
     mission_events: "MissionEvents"
+    viewer_layouts: "ViewerLayouts"
     actions: "Actions"
     project_actions: "ProjectActions"
     runs: "Runs"

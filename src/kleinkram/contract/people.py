@@ -109,6 +109,7 @@ class DataSection(str, enum.Enum):
     files = "files"
     checks = "checks"
     mission_events = "mission_events"
+    viewer_layouts = "viewer_layouts"
     actions = "actions"
     runs = "runs"
     mentions = "mentions"

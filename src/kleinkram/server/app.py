@@ -57,6 +57,7 @@ from kleinkram.server.shares.routes import router as shares
 from kleinkram.server.tokens.routes import router as tokens
 from kleinkram.server.trash.routes import router as trash
 from kleinkram.server.uploads.routes import router as uploads
+from kleinkram.server.viewer_layouts.routes import router as viewer_layouts
 
 _log = logging.getLogger("kleinkram.app")
 ROUTERS = (
@@ -65,6 +66,7 @@ ROUTERS = (
     projects,
     missions,
     mission_events,
+    viewer_layouts,
     files,
     recordings,
     overviews,

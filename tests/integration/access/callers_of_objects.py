@@ -37,6 +37,15 @@ def _other_isolation(principal: Principal) -> Any:
     return {"isolation": "container" if now == "namespaces" else "namespaces"}
 
 
+def _layout(*, is_shared: bool) -> Any:
+    return {"name": new_name(), "panels": ["raw:1@/imu"], "is_shared": is_shared}
+
+
+def _delete_new_layouts(principal: Principal) -> None:
+    """Delete the layouts that principals created: the number of shared ones is limited."""
+    principal.api.sql("DELETE FROM viewer_layout WHERE is_shared AND starts_with(name, 'new ')")
+
+
 _CHECK_REPORT = {
     "checks": [{"name": "topic.gap", "status": "ok", "message": "No gap."}],
     "depth": "index",
@@ -140,6 +149,32 @@ OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
                 "INSERT INTO mission_event (id, mission_id, name, name_key, start_ns, created_by_id)"
                 " SELECT %s, id, 'stumble', 'stumble', 1, created_by_id FROM mission WHERE id = %s",
                 *("event", "mission"),
+            ),
+        ),
+    ),
+    "list_viewer_layouts": (Caller(get("/projects/{project}/viewer-layouts"), Target.project),),
+    "create_viewer_layout": (
+        Caller(post("/projects/{project}/viewer-layouts", lambda _: _layout(is_shared=False)), Target.project),
+    ),
+    "share_viewer_layout": (
+        Caller(
+            post("/projects/{project}/viewer-layouts", lambda _: _layout(is_shared=True)),
+            Target.project,
+            via="create_viewer_layout",
+            undo=_delete_new_layouts,
+        ),
+    ),
+    "update_viewer_layout": (
+        Caller(patch("/projects/{project}/viewer-layouts/{layout}", lambda _: {"is_default": False}), Target.project),
+    ),
+    "delete_viewer_layout": (
+        Caller(
+            delete("/projects/{project}/viewer-layouts/{layout}"),
+            Target.project,
+            undo=sets(
+                "INSERT INTO viewer_layout (id, project_id, name, name_key, panels, is_shared, created_by_id)"
+                " SELECT %s, id, 'cameras', 'cameras', '{raw:1@/imu}', true, created_by_id FROM project WHERE id = %s",
+                *("layout", "project"),
             ),
         ),
     ),

@@ -78,6 +78,16 @@ def test_no_name_and_no_address_remains_in_the_database(api: Api, ada: Person) -
     assert (erased["sessions"], erased["tokens"], erased["projects"]) == (1, 2, [project["name"]])
 
 
+def test_their_personal_layouts_are_deleted_and_the_shared_ones_stay(api: Api, ada: Person) -> None:
+    hers = api.as_(ada.token)
+    project = hers.project()
+    path = f"/projects/{project['id']}/viewer-layouts"
+    for is_shared in (True, False):
+        hers.post(path, {"name": "cameras", "panels": ["raw:1@/imu"], "is_shared": is_shared}).ok(201)
+    erase(api, ada)
+    assert api.sql("SELECT is_shared FROM viewer_layout WHERE created_by_id = %s", ada.id) == [(True,)]
+
+
 def test_what_they_did_stays_on_record_under_the_pseudonym(api: Api, ada: Person) -> None:
     project = api.as_(ada.token).project()
     before = api.events(project["id"])

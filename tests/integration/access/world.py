@@ -57,6 +57,8 @@ class Objects:
     note: str
     # An event of the mission, which the owner added.
     event: str
+    # A shared layout of the project, which the owner added.
+    layout: str
     # A person who shares no group or project with anybody.
     unrelated_person: str
     unrelated_person_name: str
@@ -120,6 +122,8 @@ def create_objects(api: Api, *, is_public: bool) -> Objects:
     action, run, artifact = _create_run(api, project["id"], mission["id"], file)
     acceptance, note = _create_checks(api, project["id"], mission["id"])
     added = api.post(f"/missions/{mission['id']}/events", {"name": "stumble", "start_ns": 1}).ok(201)
+    layout_body = {"name": "cameras", "panels": ["raw:1@/imu"], "is_shared": True}
+    layout = api.post(f"/projects/{project['id']}/viewer-layouts", layout_body).ok(201)
     items = Objects(
         project=project["id"],
         project_name=project["name"],
@@ -140,6 +144,7 @@ def create_objects(api: Api, *, is_public: bool) -> Objects:
         acceptance=acceptance,
         note=note,
         event=added["id"],
+        layout=layout["id"],
         unrelated_person=unrelated_person.id,
         unrelated_person_name=unrelated_person.name,
     )

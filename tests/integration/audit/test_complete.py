@@ -25,6 +25,10 @@ WRITES: dict[str, set[str]] = {
     "create_mission_event": {"mission.create_event"},
     "update_mission_event": {"[mission.update_event]"},
     "delete_mission_event": {"mission.delete_event"},
+    "create_viewer_layout": {"project.create_layout"},
+    "share_viewer_layout": {"project.create_layout"},
+    "update_viewer_layout": {"[project.update_layout]"},
+    "delete_viewer_layout": {"project.delete_layout"},
     "set_project_checks": {"[project.set_checks]"},
     "create_check_report": {"mission.report_checks"},
     "accept_check": {"[mission.accept_check]"},
@@ -148,7 +152,8 @@ def test_every_operation_that_changes_something_is_listed(world: World) -> None:
         if method in {"post", "put", "patch", "delete"}
     }
     # These operations share the route of another operation.
-    shared_route = {"publish_project", "set_project_isolation", "set_project_quota", "move_mission", "move_file"}
+    of_projects = {"publish_project", "set_project_isolation", "set_project_quota"}
+    shared_route = {"move_mission", "move_file", "share_viewer_layout", *of_projects}
     # These are read requests, or requests of providers, which are no part of the API.
     others = {"end_provider_sign_in", "end_provider_sessions", "export_person"}
     assert changing | shared_route | others == WRITES.keys()

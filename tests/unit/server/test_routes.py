@@ -56,7 +56,7 @@ def test_every_operation_describes_failures_as_problem_documents() -> None:
 def test_every_operation_has_a_route_except_derived_ones() -> None:
     routed = {route.operation_id for route in _routes()}
     of_projects = {"publish_project", "set_project_isolation", "set_project_quota"}
-    assert OPERATIONS.keys() - routed == {"move_mission", "move_file", *of_projects}
+    assert OPERATIONS.keys() - routed == {"move_mission", "move_file", "share_viewer_layout", *of_projects}
 
 
 def test_no_route_is_served_twice() -> None:

@@ -124,6 +124,7 @@ const OF_RESOURCE_TYPES: Readonly<Record<string, (change: Change) => readonly Ke
   recording: (change) => [...inMission(change), ["files", "list"]],
   upload: (change) => (change.mission_id === null ? [] : [keys.uploads(change.mission_id)]),
   mission_event: () => [["mission-events"]],
+  viewer_layout: () => [["viewer-layouts"]],
   mission: (change) => [change.id === null ? ["missions"] : keys.mission(change.id), ["missions", "list"], ["projects"], ["trash"], ["stats"]],
   project: () => [["projects"], ["missions"], ["trash"], ["stats"]],
   run: (change) => [

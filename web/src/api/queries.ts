@@ -83,6 +83,7 @@ export const keys = {
   files: (query: Query = {}) => ["files", "list", query],
   file: (id: string) => ["files", "one", id],
   fileTopics: (id: string) => ["files", "one", id, "topics"],
+  viewerLayouts: (projectId: string) => ["viewer-layouts", projectId],
   topics: (query: Query = {}) => ["topics", "list", query],
   actions: (query: Query = {}) => ["actions", "list", query],
   action: (id: string) => ["actions", "one", id],

@@ -2389,6 +2389,54 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/projects/{project_id}/viewer-layouts": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Viewer Layouts
+         * @description List the shared layouts of a project, and the caller's own, by name.
+         */
+        get: operations["list_viewer_layouts"];
+        put?: never;
+        /**
+         * Create Viewer Layout
+         * @description Add a layout to a project.
+         */
+        post: operations["create_viewer_layout"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/projects/{project_id}/viewer-layouts/{layout_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Delete Viewer Layout
+         * @description Delete a layout.
+         */
+        delete: operations["delete_viewer_layout"];
+        options?: never;
+        head?: never;
+        /**
+         * Update Viewer Layout
+         * @description Change a layout; omitted fields do not change.
+         */
+        patch: operations["update_viewer_layout"];
+        trace?: never;
+    };
     "/api/v1/recordings/{recording_id}": {
         parameters: {
             query?: never;
@@ -6713,6 +6761,15 @@ export interface components {
             /** Total */
             total?: number | null;
         };
+        /** Page[ViewerLayoutRead] */
+        Page_ViewerLayoutRead_: {
+            /** Items */
+            items: components["schemas"]["ViewerLayoutRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
         /**
          * Parameter
          * @description A parameter of an action; required where it has no default. `minimum` and `maximum` are inclusive.
@@ -9051,6 +9108,71 @@ export interface components {
          */
         VersionCreate: {
             definition: components["schemas"]["ActionDefinition"];
+        };
+        /**
+         * ViewerLayoutCreate
+         * @description A layout to add to a project. A personal one is visible to its creator only.
+         *
+         *     `panels` are texts as the addresses of the viewer have them. Instead of a recording, each names a place among the
+         *     recordings that have the topic, from 1 on: `plot:1@/imu,linear_acceleration.x`.
+         */
+        ViewerLayoutCreate: {
+            /**
+             * Is Shared
+             * @default false
+             */
+            is_shared: boolean;
+            /** Name */
+            name: string;
+            /** Panels */
+            panels: string[];
+        };
+        /**
+         * ViewerLayoutRead
+         * @description A layout of the viewer. The viewer shows the default of a project where its address names no panels.
+         *
+         *     `created_by` is null for callers without an account. `etag` covers the edited fields: a change with an outdated one
+         *     is refused.
+         */
+        ViewerLayoutRead: {
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            created_by: components["schemas"]["PersonRef"] | null;
+            /** Etag */
+            etag?: string;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Is Default */
+            is_default: boolean;
+            /** Is Shared */
+            is_shared: boolean;
+            /** Name */
+            name: string;
+            /** Panels */
+            panels: string[];
+            /**
+             * Project Id
+             * Format: uuid
+             */
+            project_id: string;
+        };
+        /**
+         * ViewerLayoutUpdate
+         * @description Changes of a layout; omitted fields stay. A project has one default: the one before ends.
+         */
+        ViewerLayoutUpdate: {
+            /** Is Default */
+            is_default?: boolean | null;
+            /** Name */
+            name?: string | null;
+            /** Panels */
+            panels?: string[] | null;
         };
         /**
          * ViewerRead
@@ -13803,6 +13925,144 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["MissionTemplate"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_viewer_layouts: {
+        parameters: {
+            query?: {
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_ViewerLayoutRead_"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    create_viewer_layout: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ViewerLayoutCreate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ViewerLayoutRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    delete_viewer_layout: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                layout_id: string;
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    update_viewer_layout: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description The `etag` of the object that was edited, in quotes. */
+                "If-Match"?: string | null;
+            };
+            path: {
+                layout_id: string;
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ViewerLayoutUpdate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ViewerLayoutRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

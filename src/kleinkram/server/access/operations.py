@@ -91,6 +91,12 @@ OPERATIONS: dict[str, Permission] = {
     "get_mission_event": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "update_mission_event": Permission(ResourceKind.mission, Right.write, _WRITE),
     "delete_mission_event": Permission(ResourceKind.mission, Right.delete, _WRITE),
+    # Layouts of the viewer. READ on the project suffices to have personal ones, and to change and delete these.
+    "list_viewer_layouts": Permission(ResourceKind.project, Right.read, _READ, guests=True),
+    "create_viewer_layout": Permission(ResourceKind.project, Right.read, _WRITE),
+    "share_viewer_layout": Permission(ResourceKind.project, Right.write, _WRITE),
+    "update_viewer_layout": Permission(ResourceKind.project, Right.write, _WRITE),
+    "delete_viewer_layout": Permission(ResourceKind.project, Right.write, _WRITE),
     # Checks
     "get_project_checks": Permission(ResourceKind.project, Right.read, _NAMES, guests=True),
     "set_project_checks": Permission(ResourceKind.project, Right.write, _WRITE),

@@ -32,7 +32,10 @@ from kleinkram.server.tables import (
 
 _RIGHTS_LOCK = 0x6B6C5247
 _COUNTABLE = frozenset(
-    {"action", "event", "file", "grant", "group", "mission", "project", "recording", "run", "share", "token"}
+    {
+        *("action", "event", "file", "grant", "group", "layout", "mission", "project", "recording", "run", "share"),
+        "token",
+    }
 )
 
 

@@ -24,8 +24,8 @@ _CREATED = frozenset({"create", "upload", "link", "move_in", "register", "restor
 _REMOVED = frozenset({"delete", "revoke", "move_out", "abort", "purge"})
 _UNCHANGED = frozenset(
     {"download", "export", "verify", "preview", "denied", "refused", "limited", "approve", "reset_link", "send"}
-    # Of a mission, which has change events of their own for them.
-    | {"create_event", "update_event", "delete_event"}
+    # Of a mission or project, and with change events of their own.
+    | {"create_event", "update_event", "delete_event", "create_layout", "update_layout", "delete_layout"}
 )
 
 

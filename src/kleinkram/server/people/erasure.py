@@ -37,6 +37,7 @@ from kleinkram.server.tables import (
     session,
     token,
     totp,
+    viewer_layout,
 )
 
 _REDACT = text("SELECT redact_audit_log(:person_id)")
@@ -72,6 +73,10 @@ async def erase_person(db: Connection, actor: Actor, *, person_id: uuid.UUID, co
     await audit(db, actor, erased, *events)
     await _delete_rights(db, person_id, terms)
     await _delete_sign_in_data(db, person_id, terms)
+    # Nobody else sees the personal ones.
+    await db.execute(
+        delete(viewer_layout).where(viewer_layout.c.created_by_id == person_id, ~viewer_layout.c.is_shared)
+    )
     await _replace_names(db, person_id, pseudonym)
     await db.execute(insert(erasure).values(person_id=person_id, names=terms.names, addresses=terms.addresses))
     await enqueue(db, Job.redact_audit_log, ids=[str(person_id)], priority=Priority.normal)

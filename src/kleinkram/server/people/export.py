@@ -45,6 +45,7 @@ from kleinkram.server.tables import (
     token,
     totp,
     upload,
+    viewer_layout,
 )
 
 _BATCH = 500
@@ -186,6 +187,7 @@ def _work(person_id: uuid.UUID) -> list[_Source]:
         named(DataSection.checks, check_note, "created_by_id", "mission_id", "text"),
         named(DataSection.checks, check_acceptance, "created_by_id", "mission_id", "check_name", "because"),
         named(DataSection.mission_events, mission_event, "created_by_id", "mission_id", "name", "note"),
+        named(DataSection.viewer_layouts, viewer_layout, "created_by_id", "project_id", "name", "panels", "is_shared"),
         named(DataSection.actions, action, "created_by_id", "project_id", "name"),
         named(DataSection.actions, action_version, "created_by_id", "action_id", "number"),
         named(DataSection.runs, run, "started_by_id", "mission_id", "state", "parameters"),

@@ -26,6 +26,7 @@ from kleinkram.server.tables import (
     project_checks,
     run,
     share,
+    viewer_layout,
 )
 
 # Of each kind of object: an admin who finds so many does not correct them one by one.
@@ -90,6 +91,14 @@ _PLACES = (
         project.c.name,
         {"checks.yaml": project_checks.c.text},
         _in_project(project.c.id),
+    ),
+    _Place(
+        MentionPlace.project,
+        viewer_layout.join(project),
+        project.c.id,
+        project.c.name,
+        {"name of a layout": viewer_layout.c.name_key},
+        lambda actor: viewer_layout.c.is_shared & _in_project(project.c.id)(actor),
     ),
     _Place(
         MentionPlace.mission,

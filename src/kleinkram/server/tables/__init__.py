@@ -57,3 +57,4 @@ from kleinkram.server.tables.sign_in import (
     totp,
     used_logout_token,
 )
+from kleinkram.server.tables.viewer_layouts import viewer_layout

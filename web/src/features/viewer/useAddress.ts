@@ -11,6 +11,8 @@ const PLAYING_MS = 1_000;
 
 export interface ViewerAddress {
   readonly panels: WritableComputedRef<readonly Panel[]>;
+  /** Whether the address names the panels. */
+  readonly isNamed: () => boolean;
   /** Returns the whole address of what is shown now. */
   readonly link: () => string;
 }
@@ -75,5 +77,5 @@ export function useAddress(clock: Clock, defaults: () => readonly Panel[]): View
     return new URL(router.resolve({ path: route.path, query }).href, globalThis.location.href).href;
   }
 
-  return { panels, link };
+  return { panels, isNamed: () => texts.value.length > 0, link };
 }

@@ -1,0 +1,1 @@
+"""Layouts of the viewer through HTTP."""
