@@ -66,6 +66,4 @@ for (const view of JSON.parse(json)) {
     await page.locator("[data-drawn-points='0']").waitFor();
   }
 }
-// Screenshots of WebGL make a browser without a GPU wait, of which it warns.
-results.consoleErrors = results.consoleErrors.filter((text) => !text.includes("GPU stall due to ReadPixels"));
 await printResults();
