@@ -9,6 +9,8 @@ const { chromium } = createRequire(`${web}/package.json`)("playwright-core");
 const places = JSON.parse(told);
 const PATIENCE_MS = 60_000;
 const QUIET_MS = 500;
+const JUMPS = 40;
+const PLAYED_MS = 30_000;
 const ROW = "[role=row][data-index]:not(:has(.coming))";
 const HOME = [{ css: `[data-recent] ${ROW}` }];
 
@@ -173,6 +175,54 @@ async function scrolled(path, wanted, ready = async () => {}) {
   return seen;
 }
 
+const inLayout = () => `${places.viewerPath}?${places.layout.map((panel) => `p=${encodeURIComponent(panel)}`).join("&")}`;
+const VIEWED = [{ css: "[data-panel] [data-log-time]" }, { css: "[data-plot][data-messages]" }];
+
+/** Opens the viewer, jumps to times all over the mission, and plays; milliseconds, seconds and bytes. */
+async function viewed() {
+  const opened = await times(places.times, () => cold(places.viewerPath, VIEWED, bytesRead));
+  const { context, page } = await stranger(VIEWED);
+  await page.goto(`${address}${inLayout()}`, { waitUntil: "commit" });
+  await page.evaluate(() => globalThis.wanted);
+  const scrubber = page.locator("[data-transport] input[type=range]");
+  const jumps = [];
+  for (let number = 0; number < JUMPS; number += 1) jumps.push(await scrubber.evaluate(jumped, ((number * 37) % 97) / 110));
+  await scrubber.evaluate(jumped, 0.1);
+  await page.evaluate(() => (globalThis.tasks.length = 0));
+  const playHead = async () => Number(BigInt(await page.locator("[data-transport]").getAttribute("data-time")) / 1_000_000n) / 1_000;
+  const from = await playHead();
+  const began = performance.now();
+  await page.locator("body").press(" ");
+  await page.waitForTimeout(PLAYED_MS);
+  await page.locator("body").press(" ");
+  const seconds = (performance.now() - began) / 1_000;
+  const longest = await page.evaluate(() => Math.max(0, ...globalThis.tasks.map(({ duration }) => duration)));
+  const heap = await page.evaluate(() => performance.memory.usedJSHeapSize);
+  const played = { seconds, played: (await playHead()) - from, longest, heap };
+  await context.close();
+  return { opened, jumps, played };
+}
+
+/** Runs in the page: moves the scrubber to a share of the time; milliseconds until all panels of messages show it. */
+async function jumped(scrubber, share) {
+  const began = performance.now();
+  scrubber.value = String(Number(scrubber.max) * share);
+  scrubber.dispatchEvent(new Event("input", { bubbles: true }));
+  const isRight = () => {
+    const time = BigInt(document.querySelector("[data-transport]").dataset.time);
+    return [...document.querySelectorAll("[data-panel] [data-log-time]")].every(({ dataset }) => {
+      const age = time - BigInt(dataset.logTime);
+      return age >= 0n && age < 150_000_000n;
+    });
+  };
+  await new Promise(requestAnimationFrame);
+  while (!isRight()) {
+    if (performance.now() - began > 30_000) throw new Error("the panels do not show the time of the play head");
+    await new Promise(requestAnimationFrame);
+  }
+  return performance.now() - began;
+}
+
 async function times(count, measure) {
   const found = [];
   for (let number = 0; number < count; number += 1) found.push(await measure());
@@ -198,6 +248,7 @@ if (asked.has("picture")) {
     (result.pictures ??= {})[name] = await times(places.times, () => cold(path, [{ css: "[data-log-time]" }], bytesRead));
   }
 }
+if (asked.has("viewer")) result.viewer = await viewed();
 if (asked.has("scroll")) {
   const shownRows = [{ css: `main ${ROW}`, least: 3 }];
   const scrolls = {

@@ -5,19 +5,21 @@ import os
 import shutil
 import statistics
 import subprocess
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks import web_places
+from benchmarks.scale.requests import percentile
 from kleinkram.client import Client, connect
-from kleinkram.recordings.sample import generate_bag, generate_mcap
+from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
 from kleinkram.server.http.web_app import BUILT
 
 _WEB = Path(__file__).parent.parent / "web"
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _BROWSER_S = 900
-_ALL = ("load", "changes", "mission", "picture", "scroll")
+_ALL = ("load", "changes", "mission", "picture", "viewer", "scroll")
 _TIMES = 5
 _TURNS = 120
 _GB = 1_000_000_000
@@ -25,6 +27,8 @@ _LARGE = "large recordings"
 _MOST_BYTES, _MOST_INTERACTIVE_MS = 350_000, 1_500
 _MOST_CHANGE_MS, _MOST_MISSION_MS, _MOST_TASK_MS = 200, 500, 50
 _MOST_PICTURE_MS, _MOST_PICTURE_SHARE = 1_500, 0.05
+_VIEWED, _MOST_JUMP_MS = "viewed recordings", 300
+_CAMERA, _LIDAR, _IMU, _ODOM = "/camera/image/compressed", "/lidar/points", "/imu/data", "/odom"
 
 Row = dict[str, object]
 # Runs a `klein` command, and returns what it prints.
@@ -86,7 +90,10 @@ def _filled(client: Client, klein: Klein, database_url: str, folder: Path) -> tu
     klein(*into, _LARGE, "--create", f"{large}/", "--wait")
     mission_id = client.missions.get(_LARGE, project=project).id
     pictures = {samples.path: f"/files/{samples.id}" for samples in client.missions.timeline(mission_id)}
+    viewer_path, layout = _viewed(client, klein, folder / "viewed", project)
     places: dict[str, object] = {
+        "viewerPath": viewer_path,
+        "layout": layout,
         "project": web_places.PROJECT,
         "projectPath": f"/projects/{project}",
         "many": web_places.MANY_TOPICS,
@@ -100,6 +107,31 @@ def _filled(client: Client, klein: Klein, database_url: str, folder: Path) -> tu
         "found": web_places.FOUND,
     }
     return places, derived_s
+
+
+def _viewed(client: Client, klein: Klein, folder: Path, project: uuid.UUID) -> tuple[str, list[str]]:
+    """Upload a mission of 1 GB in three recordings; return the address of its viewer, and panels of all three."""
+    folder.mkdir()
+    size_bytes = _GB // 3
+    generate_mcap(folder / "drive.mcap", size_bytes=size_bytes, seed=3)
+    generate_bag(folder / "drive.bag", size_bytes=size_bytes, seed=4)
+    generate_db3(folder / "drive_rosbag2", size_bytes=size_bytes, seed=5)
+    klein("upload", "-p", web_places.PROJECT, "-m", _VIEWED, "--create", f"{folder}/", "--wait")
+    mission_id = client.missions.get(_VIEWED, project=project).id
+    keys = {
+        Path(file.path).suffix: str(file.recording_id)[:8]
+        for file in client.files.list(mission=mission_id)
+        if file.recording_id is not None
+    }
+    mcap, bag, db3 = keys[".mcap"], keys[".bag"], keys[".db3"]
+    acceleration, position = "linear_acceleration.x", "pose.pose.position.x"
+    plots = [
+        f"plot:{mcap}@{_IMU},{acceleration}",
+        f"plot:{bag}@{_ODOM},{position}",
+        f"plot:{db3}@{_IMU},{acceleration}",
+    ]
+    layout = [f"image:{mcap}@{_CAMERA}", f"image:{db3}@{_CAMERA}", *plots, f"scene:{mcap}@{_LIDAR}"]
+    return f"/missions/{mission_id}/view", layout
 
 
 def _load_rows(seen: Mapping[str, Any]) -> list[Row]:
@@ -161,6 +193,32 @@ def _picture_rows(seen: Mapping[str, Any]) -> list[Row]:
     return rows
 
 
+def _viewer_rows(seen: Mapping[str, Any]) -> list[Row]:
+    opened, jumps, played = seen["viewer"]["opened"], seen["viewer"]["jumps"], seen["viewer"]["played"]
+    share = max(samples["bytes"] for samples in opened) / _GB
+    opening = _time_row("the viewer of a mission of 1 GB: first picture and curve", _all_ms(opened), _MOST_PICTURE_MS)
+    opening["measured"] = f"{opening['measured']}, {share:.1%} of it read"
+    opening["bar"] = f"{opening['bar']}, <= {_MOST_PICTURE_SHARE:.0%} of it"
+    opening["met"] = bool(opening["met"]) and share <= _MOST_PICTURE_SHARE
+    slowest = percentile(jumps, 95)
+    jump = {
+        "what": "a jump of the viewer: 2 cameras and a cloud are right",
+        "measured": f"median {statistics.median(jumps):.0f} ms, p95 {slowest:.0f} ms, with reading",
+        "bar": f"p95 <= {_MOST_JUMP_MS} ms after the ranges came",
+        "met": slowest <= _MOST_JUMP_MS,
+        "milliseconds": jumps,
+    }
+    playing = {
+        "what": f"the viewer plays {played['seconds']:.0f} s: 2 cameras, 3 plots, a cloud of 30,000 points at 10 Hz",
+        "measured": f"{played['played']:.1f} s shown, longest task of the main thread {played['longest']:.0f} ms",
+        "bar": f"no second less, <= {_MOST_TASK_MS} ms",
+        "met": played["seconds"] - played["played"] < 1 and played["longest"] <= _MOST_TASK_MS,
+        "also": f"{played['heap'] / 1e6:.0f} MB of JavaScript objects afterwards",
+        "raw": played,
+    }
+    return [opening | {"share": share}, jump, playing]
+
+
 def _scroll_rows(seen: Mapping[str, Any]) -> list[Row]:
     return [
         _time_row(f"longest task of the main thread while scrolling {name}", _all_ms(scrolls), _MOST_TASK_MS)
@@ -192,5 +250,6 @@ _ROWS = {
     "changes": _change_rows,
     "mission": _mission_rows,
     "picture": _picture_rows,
+    "viewer": _viewer_rows,
     "scroll": _scroll_rows,
 }
