@@ -26,6 +26,7 @@ def test_a_client_has_one_attribute_per_resource() -> None:
             "close",
             "upload",
             "download",
+            "cut_events",
             "export",
         }
         assert all(getattr(client, name) is getattr(client, name) for name in names)
