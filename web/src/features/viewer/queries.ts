@@ -1,6 +1,6 @@
 // What the viewer knows before it reads a byte: the recordings of a mission or a file, and their topics.
 import { useQuery } from "@tanstack/vue-query";
-import { computed } from "vue";
+import { computed, ref, shallowRef, watch, type ComputedRef } from "vue";
 import { useFile, useFileTopics } from "@/features/file/queries";
 import { useMission, useMissionTopics, useRecordings, type MissionTopic, type Topics } from "@/features/mission/queries";
 import type { Panel } from "./layout";
@@ -82,6 +82,30 @@ export function useFileData(fileId: string) {
   const error = computed(() => file.error.value ?? topics.error.value);
   const again = () => Promise.all([file.refetch(), topics.refetch()]);
   return { data, error, again, place: computed(() => file.data.value) };
+}
+
+/** Returns the data that the viewer began with: other data would end playing, and an open form. */
+export function useFirstData(data: ComputedRef<ViewerData | null>) {
+  const first = shallowRef<ViewerData | null>(null);
+  /** How often later data replaced it. */
+  const reloads = ref(0);
+  watch(data, (now) => {
+    if (now !== null && (first.value === null || first.value.recordings.length === 0)) first.value = now;
+  }, { immediate: true });
+  const isChanged = computed(() => data.value !== null && first.value !== null && !areEqual(data.value, first.value));
+
+  function reload(): void {
+    first.value = data.value ?? first.value;
+    reloads.value += 1;
+  }
+
+  return { first, isChanged, reloads, reload };
+}
+
+function areEqual(one: ViewerData, other: ViewerData): boolean {
+  const textOf = ({ recordings, topics }: ViewerData) =>
+    JSON.stringify([recordings.map(({ key, files }) => [key, files.map(({ id }) => id)]), topics.map(({ recording, name, count }) => [recording, name, count])]);
+  return one === other || textOf(one) === textOf(other);
 }
 
 function ofFile({ name, message_type, count, first_ns }: Topic, recording: string): ViewerTopic {

@@ -1,0 +1,41 @@
+import { expect, it } from "vitest";
+import { computed, effectScope, nextTick, shallowRef } from "vue";
+import { useFirstData, type ViewerData } from "./queries";
+
+const dataOf = (...ids: string[]): ViewerData => ({
+  recordings: ids.map((id) => ({ key: id, name: id, files: [{ id, path: id, format: "mcap", size_bytes: 1, span: { fromNs: 0n, toNs: 1n } }] })),
+  topics: ids.map((recording) => ({ recording, name: "/t", messageType: null, count: 1, firstNs: 0, density: [] })),
+});
+
+function viewing(start: ViewerData | null) {
+  const loaded = shallowRef(start);
+  const viewed = effectScope().run(() => useFirstData(computed(() => loaded.value)));
+  if (viewed === undefined) throw new Error("no scope");
+  return { loaded, ...viewed };
+}
+
+it("keeps what it began with after an upload, until it is reloaded", async () => {
+  const { loaded, first, isChanged, reloads, reload } = viewing(null);
+  loaded.value = dataOf("a");
+  await nextTick();
+  const before = first.value;
+  loaded.value = dataOf("a", "b");
+  await nextTick();
+  expect([first.value === before, isChanged.value, reloads.value]).toEqual([true, true, 0]);
+  reload();
+  expect([first.value?.recordings.length, isChanged.value, reloads.value]).toEqual([2, false, 1]);
+});
+
+it("shows no notice where the same was loaded again", async () => {
+  const { loaded, isChanged } = viewing(dataOf("a"));
+  loaded.value = dataOf("a");
+  await nextTick();
+  expect(isChanged.value).toBe(false);
+});
+
+it("begins with the first recordings of an empty mission", async () => {
+  const { loaded, first, isChanged } = viewing(dataOf());
+  loaded.value = dataOf("a");
+  await nextTick();
+  expect([first.value?.recordings.length, isChanged.value]).toEqual([1, false]);
+});
