@@ -7,9 +7,9 @@ const dataOf = (...ids: string[]): ViewerData => ({
   topics: ids.map((recording) => ({ recording, name: "/t", messageType: null, count: 1, firstNs: 0, density: [] })),
 });
 
-function viewing(start: ViewerData | null) {
+function viewing(start: ViewerData | null, isComplete = () => true) {
   const loaded = shallowRef(start);
-  const viewed = effectScope().run(() => useFirstData(computed(() => loaded.value)));
+  const viewed = effectScope().run(() => useFirstData(computed(() => loaded.value), isComplete));
   if (viewed === undefined) throw new Error("no scope");
   return { loaded, ...viewed };
 }
@@ -21,9 +21,9 @@ it("keeps what it began with after an upload, until it is reloaded", async () =>
   const before = first.value;
   loaded.value = dataOf("a", "b");
   await nextTick();
-  expect([first.value === before, isChanged.value, reloads.value]).toEqual([true, true, 0]);
+  expect([first.value === before, isChanged.value, reloads.value]).toEqual([true, true, 1]);
   reload();
-  expect([first.value?.recordings.length, isChanged.value, reloads.value]).toEqual([2, false, 1]);
+  expect([first.value?.recordings.length, isChanged.value, reloads.value]).toEqual([2, false, 2]);
 });
 
 it("shows no notice where the same was loaded again", async () => {
@@ -38,4 +38,19 @@ it("begins with the first recordings of an empty mission", async () => {
   loaded.value = dataOf("a");
   await nextTick();
   expect([first.value?.recordings.length, isChanged.value]).toEqual([1, false]);
+});
+
+it("follows what is loaded until the server has read all files", async () => {
+  let isComplete = false;
+  const { loaded, first, isChanged, reloads } = viewing(dataOf("a"), () => isComplete);
+  loaded.value = dataOf("a");
+  await nextTick();
+  expect(reloads.value).toBe(1);
+  isComplete = true;
+  loaded.value = dataOf("a", "b");
+  await nextTick();
+  expect([first.value?.recordings.length, isChanged.value, reloads.value]).toEqual([2, false, 2]);
+  loaded.value = dataOf("a", "b", "c");
+  await nextTick();
+  expect([first.value?.recordings.length, isChanged.value, reloads.value]).toEqual([2, true, 2]);
 });

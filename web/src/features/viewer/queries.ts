@@ -65,7 +65,9 @@ export function useMissionData(missionId: string) {
   });
   const error = computed(() => mission.error.value ?? files.error.value ?? recordings.error.value ?? topics.error.value);
   const again = () => Promise.all([mission.refetch(), files.refetch(), recordings.refetch(), topics.refetch()]);
-  return { data, error, again, place: computed(() => mission.data.value) };
+  /** While the server reads files, more topics follow. */
+  const isComplete = () => topics.data.value?.isCurrent === true;
+  return { data, error, again, isComplete, place: computed(() => mission.data.value) };
 }
 
 /** Returns the viewer's data of one file, and what failed. */
@@ -81,24 +83,28 @@ export function useFileData(fileId: string) {
   });
   const error = computed(() => file.error.value ?? topics.error.value);
   const again = () => Promise.all([file.refetch(), topics.refetch()]);
-  return { data, error, again, place: computed(() => file.data.value) };
+  return { data, error, again, isComplete: () => true, place: computed(() => file.data.value) };
 }
 
-/** Returns the data that the viewer began with: other data would end playing, and an open form. */
-export function useFirstData(data: ComputedRef<ViewerData | null>) {
+/** Returns the first data that is complete, or until then the latest: later data would end playing, and an open form. */
+export function useFirstData(data: ComputedRef<ViewerData | null>, isComplete: () => boolean) {
   const first = shallowRef<ViewerData | null>(null);
   /** How often later data replaced it. */
   const reloads = ref(0);
-  watch(data, (now) => {
-    if (now !== null && (first.value === null || first.value.recordings.length === 0)) first.value = now;
-  }, { immediate: true });
+  let isSettled = false;
   const isChanged = computed(() => data.value !== null && first.value !== null && !areEqual(data.value, first.value));
 
   function reload(): void {
-    first.value = data.value ?? first.value;
+    if (data.value === null) return;
+    first.value = data.value;
     reloads.value += 1;
   }
 
+  watch(data, (now) => {
+    if (now === null || isSettled) return;
+    if (first.value === null || isChanged.value) reload();
+    isSettled = now.topics.length > 0 && isComplete();
+  }, { immediate: true });
   return { first, isChanged, reloads, reload };
 }
 
