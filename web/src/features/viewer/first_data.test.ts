@@ -40,6 +40,15 @@ it("begins with the first recordings of an empty mission", async () => {
   expect([first.value?.recordings.length, isChanged.value]).toEqual([1, false]);
 });
 
+it("begins again where all recordings were deleted", async () => {
+  const { loaded, first, reload } = viewing(dataOf("a"));
+  loaded.value = dataOf();
+  reload();
+  loaded.value = dataOf("b");
+  await nextTick();
+  expect(first.value?.recordings.map(({ key }) => key)).toEqual(["b"]);
+});
+
 it("follows what is loaded until the server has read all files", async () => {
   let isComplete = false;
   const { loaded, first, isChanged, reloads } = viewing(dataOf("a"), () => isComplete);

@@ -101,7 +101,7 @@ export function useFirstData(data: ComputedRef<ViewerData | null>, isComplete: (
   }
 
   watch(data, (now) => {
-    if (now === null || isSettled) return;
+    if (now === null || (isSettled && first.value?.recordings.length !== 0)) return;
     if (first.value === null || isChanged.value) reload();
     isSettled = now.topics.length > 0 && isComplete();
   }, { immediate: true });
