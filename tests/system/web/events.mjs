@@ -23,9 +23,11 @@ const save = async () => {
   await form.waitFor({ state: "hidden" });
 };
 const seekTo = async (of, share) => {
-  await of.getByRole("slider", { name: "Time" }).evaluate((slider, at) => {
-    slider.value = String(Math.round(at * Number(slider.max)));
-    slider.dispatchEvent(new Event("input", { bubbles: true }));
+  const slider = of.getByRole("slider", { name: "Time" });
+  await slider.focus(); // it has the focus after a drag
+  await slider.evaluate((input, at) => {
+    input.value = String(Math.round(at * Number(input.max)));
+    input.dispatchEvent(new Event("input", { bubbles: true }));
   }, share);
 };
 
@@ -36,6 +38,7 @@ const other = await context.newPage();
 await other.goto(`${address}/missions/${mission}?tab=events`);
 await other.getByRole("heading", { name: "No events yet" }).waitFor();
 await page.bringToFront();
+await page.getByRole("slider", { name: "Time" }).click();
 await seekTo(page, 0.25);
 results.momentAt = await headTime(page);
 await page.keyboard.press("e");
@@ -64,6 +67,12 @@ await form.getByLabel("Name").fill("trot");
 await save();
 await marked(page, 3);
 await checkPage(page, "viewer-events");
+
+// A span also begins by a button.
+await page.locator("[data-span]").click();
+results.spanButton = await page.locator("[data-span]").innerText();
+await page.locator("[data-begun]").getByRole("button", { name: "Discard" }).click();
+await page.locator("[data-begun]").waitFor({ state: "detached" });
 
 // The window in the background follows when it is seen again.
 await other.bringToFront();

@@ -57,6 +57,7 @@ def test_events_are_added_by_keys_searched_and_cut(
     assert moment_ns < from_ns < to_ns
     assert "stumble" in results["moment"]
     assert "No span was begun" in results["noBegin"]
+    assert results["spanButton"] == "End the span here"
     assert results["otherRows"] == ["stumble", "trot"]
     assert results["hint"].startswith("trot · ")
     _assert_near(results["clicked"], from_ns)

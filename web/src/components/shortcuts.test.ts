@@ -3,7 +3,7 @@ import { effectScope, type EffectScope } from "vue";
 import { nameOf, shortcuts, setShortcutsOn, useShortcuts } from "./shortcuts";
 
 let scope: EffectScope;
-const run = { search: vi.fn(), palette: vi.fn(), projects: vi.fn() };
+const run = { search: vi.fn(), palette: vi.fn(), projects: vi.fn(), back: vi.fn() };
 
 function press(key: string, more: KeyboardEventInit = {}, target: EventTarget = document.body): void {
   target.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true, ...more }));
@@ -15,6 +15,7 @@ beforeEach(() => {
     useShortcuts([
       { keys: "/", does: "search", run: run.search },
       { keys: "mod+k", does: "palette", run: run.palette },
+      { keys: "ArrowLeft", does: "back", run: run.back },
       { keys: "g p", does: "projects", run: run.projects },
     ]),
   );
@@ -48,6 +49,17 @@ describe("keys", () => {
     press("k", { ctrlKey: true }, box);
     expect(run.search).not.toHaveBeenCalled();
     expect(run.palette).toHaveBeenCalledTimes(1);
+  });
+  it("work while a slider has the focus, except those that move it", () => {
+    const slider = document.createElement("input");
+    slider.type = "range";
+    document.body.append(slider);
+    press("/", {}, slider);
+    press("ArrowLeft", {}, slider);
+    expect(run.search).toHaveBeenCalledTimes(1);
+    expect(run.back).not.toHaveBeenCalled();
+    press("ArrowLeft");
+    expect(run.back).toHaveBeenCalledTimes(1);
   });
   it("can be turned off, except with Ctrl", () => {
     setShortcutsOn(false);

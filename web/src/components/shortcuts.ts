@@ -39,12 +39,16 @@ export function setShortcutsOn(isOn: boolean): void {
 function isTyping(target: EventTarget | null): boolean {
   if (!(target instanceof HTMLElement)) return false;
   if (target.isContentEditable || target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement) return true;
-  return target instanceof HTMLInputElement && !["checkbox", "radio", "button", "submit"].includes(target.type);
+  return target instanceof HTMLInputElement && !["checkbox", "radio", "button", "submit", "range"].includes(target.type);
 }
 
-/** Whether the space bar presses what has the focus. */
-function isPressable(target: EventTarget | null): boolean {
-  return target instanceof HTMLElement && target.matches("a, button, summary, input, [role=button]");
+const SLIDER_KEYS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
+
+/** Whether what has the focus uses the key: the space bar presses it, arrows move a slider. */
+function isUsedBy(target: EventTarget | null, name: string): boolean {
+  if (!(target instanceof HTMLElement)) return false;
+  if (name === " ") return target.matches("a, button, summary, input, [role=button]");
+  return SLIDER_KEYS.includes(name) && target.matches("input[type=range]");
 }
 
 /** Returns the name of a key press: `n`, `mod+k`, or `g p` if `before` is the first key of a pair. */
@@ -62,7 +66,7 @@ function onKey(event: KeyboardEvent): void {
   const isWithCtrl = name.startsWith("mod+");
   const isDialogOpen = document.querySelector("dialog[open]") !== null;
   if (!isWithCtrl && (!areShortcutsOn.value || isTyping(event.target) || isDialogOpen)) return;
-  if (name === " " && isPressable(event.target)) return;
+  if (isUsedBy(event.target, name)) return;
   const match = shortcuts.findLast((shortcut) => shortcut.keys === name);
   if (match !== undefined) {
     event.preventDefault();

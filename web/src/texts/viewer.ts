@@ -12,6 +12,12 @@ export const texts = {
   read: (bytes: number, size: number) => `${formatSize(bytes)} of ${formatSize(size)} read`,
   readTitle: "Amount of data that this page has read from the store",
 
+  timeAxis: "Time axis",
+  timeAxisWhy: "The recordings have different clocks, or were made on different days",
+  recordedOn: (day: string, recordings: number) => `Recorded on ${day} (${counted(recordings, "recording")})`,
+  changed: "The recordings have changed since this page was opened.",
+  reload: "Reload",
+
   addPanel: "Add panel",
   addTitle: "Add a panel",
   filterTopics: "Filter topics",

@@ -1,6 +1,6 @@
 // What the viewer knows before it reads a byte: the recordings of a mission or a file, and their topics.
 import { useQuery } from "@tanstack/vue-query";
-import { computed } from "vue";
+import { computed, ref, shallowRef, watch, type ComputedRef } from "vue";
 import { useFile, useFileTopics } from "@/features/file/queries";
 import { useMission, useMissionTopics, useRecordings, type MissionTopic, type Topics } from "@/features/mission/queries";
 import type { Panel } from "./layout";
@@ -65,7 +65,9 @@ export function useMissionData(missionId: string) {
   });
   const error = computed(() => mission.error.value ?? files.error.value ?? recordings.error.value ?? topics.error.value);
   const again = () => Promise.all([mission.refetch(), files.refetch(), recordings.refetch(), topics.refetch()]);
-  return { data, error, again, place: computed(() => mission.data.value) };
+  /** While the server reads files, more topics follow. */
+  const isComplete = () => topics.data.value?.isCurrent === true;
+  return { data, error, again, isComplete, place: computed(() => mission.data.value) };
 }
 
 /** Returns the viewer's data of one file, and what failed. */
@@ -81,7 +83,35 @@ export function useFileData(fileId: string) {
   });
   const error = computed(() => file.error.value ?? topics.error.value);
   const again = () => Promise.all([file.refetch(), topics.refetch()]);
-  return { data, error, again, place: computed(() => file.data.value) };
+  return { data, error, again, isComplete: () => true, place: computed(() => file.data.value) };
+}
+
+/** Returns the first data that is complete, or until then the latest: later data would end playing, and an open form. */
+export function useFirstData(data: ComputedRef<ViewerData | null>, isComplete: () => boolean) {
+  const first = shallowRef<ViewerData | null>(null);
+  /** How often later data replaced it. */
+  const reloads = ref(0);
+  let isSettled = false;
+  const isChanged = computed(() => data.value !== null && first.value !== null && !areEqual(data.value, first.value));
+
+  function reload(): void {
+    if (data.value === null) return;
+    first.value = data.value;
+    reloads.value += 1;
+  }
+
+  watch(data, (now) => {
+    if (now === null || (isSettled && first.value?.recordings.length !== 0)) return;
+    if (first.value === null || isChanged.value) reload();
+    isSettled = now.topics.length > 0 && isComplete();
+  }, { immediate: true });
+  return { first, isChanged, reloads, reload };
+}
+
+function areEqual(one: ViewerData, other: ViewerData): boolean {
+  const textOf = ({ recordings, topics }: ViewerData) =>
+    JSON.stringify([recordings.map(({ key, files }) => [key, files.map(({ id }) => id)]), topics.map(({ recording, name, count }) => [recording, name, count])]);
+  return one === other || textOf(one) === textOf(other);
 }
 
 function ofFile({ name, message_type, count, first_ns }: Topic, recording: string): ViewerTopic {

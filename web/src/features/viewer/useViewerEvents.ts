@@ -81,7 +81,7 @@ export function useViewerEvents(missionId: string, clock: Clock, recorded: reado
   ]);
 
   return {
-    missionId, axis, events, findings, marks, right, mayAdd, begunNs, begun, form, isFormOpen, open, addHere,
+    missionId, axis, events, findings, marks, right, mayAdd, begunNs, begun, form, isFormOpen, open, addHere, begin, end,
     gaps: gapsOf(recorded),
     names: computed(() => [...new Set(events.value.map(({ name }) => name))]),
     isLoading: computed(() => loadedEvents.isPending.value),

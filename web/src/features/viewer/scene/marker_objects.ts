@@ -8,7 +8,7 @@ import type { SceneObject } from "./objects";
 import type { Marker } from "@/recordings/geometry/markers";
 
 /** What is freed with an object. */
-type Owned = BufferGeometry | Material | Texture;
+type Owned = BufferGeometry | InstancedMesh | Material | Texture;
 
 const MIN_SIZE_M = 1e-4;
 const TEXT_PX = 48;
@@ -87,7 +87,7 @@ function copies(marker: Marker, geometry: BufferGeometry, own: Own): Object3D {
   const { positions, colours } = marker.points;
   const { colour: [red, green, blue, alpha] } = marker;
   const count = positions.length / 3;
-  const mesh = new InstancedMesh(geometry, own(new MeshLambertMaterial({ opacity: alpha, transparent: alpha < 1 })), count);
+  const mesh = own(new InstancedMesh(geometry, own(new MeshLambertMaterial({ opacity: alpha, transparent: alpha < 1 })), count));
   const scale = new Vector3(...marker.scale.map((size) => Math.max(Math.abs(size), MIN_SIZE_M)));
   for (let place = 0; place < count; place += 1) {
     mesh.setMatrixAt(place, new Matrix4().compose(new Vector3().fromArray(positions, 3 * place), new Quaternion(), scale));

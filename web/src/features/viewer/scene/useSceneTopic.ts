@@ -3,10 +3,12 @@ import { computed, onScopeDispose, shallowRef, watch, type ComputedRef, type Sha
 import type { Series } from "../layout";
 import { useMessageAt, type MessageAtTime, type ShownMessage } from "../useMessageAt";
 import { useViewer } from "../viewer";
+import { readPages } from "./pages";
 import { secondsOfNs, type TimedScene } from "./placement";
 import { latest } from "@/features/file/viewer/useReader";
 import { failureOf } from "@/recordings/failures";
 import { MarkerSet, type Marker } from "@/recordings/geometry/markers";
+import type { ReadMessage } from "@/recordings/products/products";
 
 export interface SceneTopicState {
   readonly message: MessageAtTime<"scene">;
@@ -74,32 +76,33 @@ function useMarkers(series: () => Series, shown: ShallowRef<ShownMessage<"scene"
   const controller = new AbortController();
   let appliedNs: bigint | null = null;
 
-  const apply = latest(async (now: ShownMessage<"scene">) => {
-    const from = appliedNs !== null && appliedNs <= now.logTimeNs && now.logTimeNs - appliedNs < MARKERS_BEFORE_NS ? appliedNs + 1n : null;
+  const apply = latest(async (now: ShownMessage<"scene"> | null) => {
+    const from = now !== null && appliedNs !== null && appliedNs <= now.logTimeNs && now.logTimeNs - appliedNs < MARKERS_BEFORE_NS ? appliedNs + 1n : null;
     if (from === null) set.clear();
-    try {
-      await applySpan(from ?? now.logTimeNs - MARKERS_BEFORE_NS, now.logTimeNs);
-    } catch (thrown) {
-      if (failureOf(thrown, "worker_ended").code === "cancelled") return;
-      if (now.product.content.kind === "markers") set.apply(now.product.content.changes, secondsOfNs(now.logTimeNs));
-    }
-    appliedNs = now.logTimeNs;
+    if (now !== null) await applySpan(from ?? now.logTimeNs - MARKERS_BEFORE_NS, now);
+    appliedNs = now?.logTimeNs ?? null;
     version.value += 1;
   });
 
-  async function applySpan(fromNs: bigint, toNs: bigint): Promise<void> {
-    const files = sources.filesOf(series()).filter(({ span }) => span.fromNs <= toNs && span.toNs >= fromNs);
-    for (const file of files) {
-      const request = { product: "scene", fromNs, toNs, maxMessages: MARKER_MESSAGES, maxBytes: MARKER_BYTES } as const;
-      const answer = await sources.messages(file, series(), request, { signal: controller.signal, priority: priority() });
-      for (const { logTimeNs, product } of answer?.messages ?? []) {
-        if (product?.content.kind === "markers") set.apply(product.content.changes, secondsOfNs(logTimeNs));
-      }
+  async function applySpan(fromNs: bigint, last: ShownMessage<"scene">): Promise<void> {
+    const request = { product: "scene", fromNs, toNs: last.logTimeNs, maxMessages: MARKER_MESSAGES, maxBytes: MARKER_BYTES } as const;
+    try {
+      const untilNs = await readPages(sources, series(), request, { signal: controller.signal, priority: priority() }, applyMessage);
+      if (untilNs >= last.logTimeNs) return;
+    } catch (thrown) {
+      if (failureOf(thrown, "worker_ended").code === "cancelled") return;
     }
+    // Messages in between were not read, which may have deleted what was applied before them.
+    set.clear();
+    applyMessage(last);
+  }
+
+  function applyMessage({ logTimeNs, product }: ReadMessage<"scene">): void {
+    if (product?.content.kind === "markers") set.apply(product.content.changes, secondsOfNs(logTimeNs));
   }
 
   watch(shown, (now) => {
-    if (now?.product.content.kind === "markers") apply(now);
+    if (now === null || now.product.content.kind === "markers") apply(now);
   }, { immediate: true });
   onScopeDispose(() => controller.abort());
   const all = computed(() => (version.value === 0 ? [] : set.visibleAt(Number.NEGATIVE_INFINITY)));

@@ -2,6 +2,7 @@
 import { onScopeDispose, ref, shallowRef, watch, type Ref } from "vue";
 import type { Series } from "../layout";
 import { useViewer } from "../viewer";
+import { readPages } from "./pages";
 import { secondsOfNs } from "./placement";
 import { latest } from "@/features/file/viewer/useReader";
 import { failureOf, type ReadFailure } from "@/recordings/failures";
@@ -19,7 +20,8 @@ export interface Transforms {
   readonly stampOffset: () => number;
 }
 
-const BEFORE_NS = 1_000_000_000n;
+/** What is read before the play head; a shorter time, where that is too much. */
+const BEFORE_NS = [1_000_000_000n, 100_000_000n, 0n] as const;
 const AHEAD_NS = 1_000_000_000n;
 /** A transform that is published less often is searched for so far back. */
 const FAR_BEFORE_NS = 12_000_000_000n;
@@ -43,31 +45,52 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
   let isExtended = false;
   let offset = 0;
 
-  async function read(series: Series, { fromNs, toNs }: Span, maxBytes: number): Promise<void> {
-    const files = sources.filesOf(series).filter(({ span }) => span.fromNs <= toNs && span.toNs >= fromNs);
-    for (const file of files) {
-      const request = { product: "transforms", fromNs, toNs, maxMessages: MAX_MESSAGES, maxBytes } as const;
-      const answer = await sources.messages(file, series, request, { signal: controller.signal, priority: priority() });
-      for (const { logTimeNs, product } of answer?.messages ?? []) {
-        for (const transform of product ?? []) {
-          const logSeconds = secondsOfNs(logTimeNs);
-          if (transform.stampSeconds !== null && !isStaticTopic(series.topic)) offset = transform.stampSeconds - logSeconds;
-          buffer.add(transform, isStaticTopic(series.topic), logSeconds);
-        }
+  /** Returns up to where it read. */
+  async function read(series: Series, { fromNs, toNs }: Span, maxBytes: number): Promise<bigint> {
+    const request = { product: "transforms", fromNs, toNs, maxMessages: MAX_MESSAGES, maxBytes } as const;
+    const isStatic = isStaticTopic(series.topic);
+    const untilNs = await readPages(sources, series, request, { signal: controller.signal, priority: priority() }, ({ logTimeNs, product }) => {
+      const logSeconds = secondsOfNs(logTimeNs);
+      for (const transform of product ?? []) {
+        if (transform.stampSeconds !== null && !isStatic) offset = transform.stampSeconds - logSeconds;
+        buffer.add(transform, isStatic, logSeconds);
       }
-    }
+    });
     version.value += 1;
+    return untilNs;
   }
 
   async function readStatics(): Promise<void> {
     if (hasStatics) return;
-    hasStatics = true;
     for (const series of statics) await read(series, clock.span, MAX_STATIC_BYTES);
+    hasStatics = true;
   }
 
-  async function readSpan(span: Span): Promise<void> {
-    if (span.toNs < span.fromNs) return;
-    for (const series of dynamics) await read(series, span, MAX_BYTES);
+  /** Returns up to where it read all topics. */
+  async function readSpan(span: Span): Promise<bigint> {
+    let untilNs = span.toNs;
+    for (const series of dynamics) {
+      const reached = await read(series, span, MAX_BYTES);
+      if (reached < untilNs) untilNs = reached;
+    }
+    return untilNs;
+  }
+
+  /** Reads on after what is covered, or anew around a time that this does not reach. */
+  async function cover(atNs: bigint): Promise<void> {
+    const toNs = atNs + AHEAD_NS;
+    if (covered !== null && atNs >= covered.fromNs && atNs <= covered.toNs + AHEAD_NS) {
+      covered = { fromNs: covered.fromNs, toNs: await readSpan({ fromNs: covered.toNs + 1n, toNs }) };
+      if (covered.toNs >= atNs) return;
+    }
+    for (const beforeNs of BEFORE_NS) {
+      [covered, isExtended] = [null, false];
+      buffer.clearDynamic();
+      const fromNs = atNs - beforeNs;
+      const untilNs = await readSpan({ fromNs, toNs });
+      covered = { fromNs, toNs: untilNs };
+      if (untilNs >= atNs) return;
+    }
   }
 
   const follow = latest(async (atNs: bigint) => {
@@ -75,12 +98,7 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
     isReading.value = true;
     try {
       await readStatics();
-      const isNear = covered !== null && atNs >= covered.fromNs && atNs <= covered.toNs + AHEAD_NS;
-      if (!isNear) buffer.clearDynamic();
-      const span = { fromNs: isNear && covered !== null ? covered.toNs + 1n : atNs - BEFORE_NS, toNs: atNs + AHEAD_NS };
-      await readSpan(span);
-      covered = { fromNs: isNear && covered !== null ? covered.fromNs : span.fromNs, toNs: span.toNs };
-      isExtended &&= isNear;
+      await cover(atNs);
       failure.value = null;
     } catch (thrown) {
       const failed = failureOf(thrown, "worker_ended");
