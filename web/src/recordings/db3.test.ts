@@ -1,4 +1,4 @@
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, vi } from "vitest";
 import { ReadFailure } from "./failures";
 import type { Damage, Message, Order, Recording } from "./formats/recording";
 import { openRecording } from "./formats/open";
@@ -76,6 +76,26 @@ describe("a rosbag2 database", () => {
     const curves = await session.curves({ topic: "/range", fields: ["max_range"], fromNs: 0n, toNs: 9n, maxBytes: 1e6 }, { pause: () => Promise.resolve(), onCurves: () => undefined });
     expect([curves.messages, curves.damaged]).toEqual([2, []]);
     await expect(session.fields("/other")).rejects.toMatchObject({ code: "definition_missing", detail: "own_msgs/msg/Other" });
+  });
+
+  it("ends a page of messages where its bytes were read", async () => {
+    const { ranges } = storeOf(madeDb3(TOPICS, ROWS));
+    const recording = await openRecording("db3", ranges);
+    const session = new Session(recording);
+    // As if the index had one part only, and each message were on pages of its own.
+    vi.spyOn(recording, "pieces").mockReturnValue([]);
+    let bytesRead = 0;
+    Object.defineProperty(ranges, "bytesRead", { get: () => (bytesRead += 100) });
+    const times: bigint[] = [];
+    let pages = 0;
+    for (let fromNs = 0n; fromNs <= ALL.toNs; pages += 1) {
+      const request = { topic: "/small", product: "time", fromNs, toNs: ALL.toNs, maxMessages: 1_000, maxBytes: 1_000 } as const;
+      const { messages, untilNs } = await session.messages(request, { pause: () => Promise.resolve() });
+      times.push(...messages.map(({ logTimeNs }) => logTimeNs));
+      fromNs = untilNs + 1n;
+    }
+    expect(times.map(String)).toEqual(expected(1).map((text) => text.split(" ")[0]));
+    expect(pages).toBeGreaterThan(20);
   });
 
   it("shows what can be read of a damaged one", async () => {

@@ -56,3 +56,21 @@ it("says how far it searched where it may read no more", async () => {
   expect(message).toBeNull();
   expect(searchedToNs).toBe(timeOf(29) - 250_000_000n);
 });
+
+it("knows nothing of what comes behind the beginning of a recording without index", async () => {
+  const messages = Array.from({ length: COUNT }, (_, number) => ({ topic: "/busy", logTimeNs: timeOf(number), data: new Uint8Array(2000) }));
+  const made = await madeMcap([topic("/busy")], messages);
+  const find = async (maxBytes: number) => {
+    const recording = await openRecording("mcap", storeOf(made.slice(0, made.length - 3000)).ranges, { maxBytes });
+    const span = recording.span ?? { fromNs: 0n, toNs: 0n };
+    const search = new MessageSearch(recording, span);
+    const at = (atNs: bigint) => search.find("/busy", "valid", atNs, { maxBytes: Infinity, onDamage: () => undefined });
+    return { span, within: await at(span.toNs), behind: await at(timeOf(COUNT)) };
+  };
+  const beginning = await find(made.length / 4);
+  expect(beginning.span.toNs).toBeLessThan(timeOf(COUNT / 2));
+  expect(beginning.within.message?.logTimeNs).toBe(beginning.span.toNs);
+  expect(beginning.behind).toEqual({ message: null, searchedToNs: beginning.span.toNs });
+  const whole = await find(Infinity);
+  expect(whole.behind.message?.logTimeNs).toBe(whole.span.toNs);
+});

@@ -16,6 +16,8 @@ interface Latest extends Search {
 
 /** The first part of a span that is searched; each further one is twice as long. */
 const FIRST_NS = 250_000_000n;
+/** A recording without index of which less was read ends later than is known. */
+const WHOLE_SHARE = 0.9;
 const NONE: Search = { message: null, searchedToNs: null };
 
 export class MessageSearch {
@@ -34,11 +36,18 @@ export class MessageSearch {
   async find(topic: string, which: Which, atNs: bigint, { maxBytes, onDamage }: { maxBytes: number; onDamage: OnDamage }): Promise<Search> {
     const search = (span: Span, order: Order): Promise<Search> => this.search(topic, span, order, maxBytes, onDamage);
     const { fromNs, toNs } = this.span;
+    if (atNs > toNs && this.isBeginning && (which === "valid" || which === "next")) return { message: null, searchedToNs: toNs };
     if (which === "valid") return this.valid(topic, atNs, search);
     if (which === "next") return search({ fromNs: atNs + 1n, toNs }, "forward");
     if (which === "previous") return search({ fromNs, toNs: atNs - 1n }, "backward");
     const after = await search({ fromNs: atNs, toNs }, "forward");
     return after.message === null ? search({ fromNs, toNs: atNs - 1n }, "backward") : after;
+  }
+
+  /** Whether only the beginning of the recording was seen. */
+  private get isBeginning(): boolean {
+    const { indexedUntil, source } = this.recording;
+    return indexedUntil !== null && indexedUntil < WHOLE_SHARE * source.sizeBytes;
   }
 
   private async valid(topic: string, atNs: bigint, search: (span: Span, order: Order) => Promise<Search>): Promise<Search> {

@@ -53,10 +53,14 @@ export class Session {
     const span = affordable({ fromNs, toNs }, this.recording.pieces([topic], { fromNs, toNs }), maxBytes);
     const messages: ReadMessage[] = [];
     const timer = new Timer(PAUSE_EVERY_MS);
+    const { source } = this.recording;
+    const startBytes = source.bytesRead;
     for await (const message of this.recording.messages([topic], span, "forward", noticed.note)) {
       const last = messages.at(-1)?.logTimeNs;
+      // A chunk is used as a whole, because it was read as a whole.
+      const isTooLarge = last !== undefined && source.bytesRead - startBytes > maxBytes && message.chunkSpan.fromNs > last;
       // Messages of equal times stay together, so that the next request can begin behind them.
-      if (last !== undefined && messages.length >= maxMessages && message.logTimeNs > last) return { messages, untilNs: last, damaged: noticed.parts };
+      if (last !== undefined && (messages.length >= maxMessages || isTooLarge) && message.logTimeNs > last) return { messages, untilNs: last, damaged: noticed.parts };
       if (messages.length >= MAX_MESSAGES_AT_ONCE) throw new ReadFailure("too_large");
       await noticed.noteFailure(message, async () => messages.push(await this.made(message, product)));
       if (timer.isDue()) await pause();

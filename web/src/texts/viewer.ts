@@ -62,7 +62,7 @@ export const texts = {
   density: "Number of messages over time",
 
   noneYet: "No message at or before this time.",
-  notFurther: (seconds: string) => `No message down to ${seconds}. The rest was not searched, because that reads much.`,
+  notFurther: (seconds: string) => `The search ended at ${seconds} without a message. The rest was not searched, because that reads much.`,
   firstMessage: "Go to the first message",
   atTime: (seconds: string) => `at ${seconds}`,
   imageOf: (topic: string, seconds: string, width: number, height: number) => `Image of ${topic} at ${seconds}, ${width} by ${height} pixels`,
@@ -106,6 +106,7 @@ export const texts = {
   shapes: (count: number) => counted(count, "shape"),
 
   noValueYet: "No value at this time",
+  notRead: "Not read at this time",
   stateFor: (value: string, duration: string) => `${value}, for ${duration}`,
   severalValues: (duration: string) => `Several values, within ${duration}`,
   statesOf: (field: string, changes: number) => `Values of ${field} over time: ${counted(changes, "part")} with one value each`,

@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { aligned, partAround, segmentOf, unreadParts, valueAt, type Segment } from "./curves";
+import { aligned, partAround, segmentOf, unreadParts, unreadUntil, valueAt, type Segment } from "./curves";
 import type { SourceFile } from "./sources";
 
 const file: SourceFile = { id: "f", path: "a.mcap", format: "mcap", size_bytes: 1, span: { fromNs: 0n, toNs: 100n } };
@@ -49,4 +49,13 @@ it("returns the value that is valid at a time", () => {
   const curves = { seconds: [0, 1, 2], values: [[10, undefined, 12], [null, 21, undefined]] };
   expect([-1, 0, 1.5, 2, 9].map((second) => valueAt(curves, 0, second))).toEqual([null, 10, 10, 12, 12]);
   expect([0, 1, 5].map((second) => valueAt(curves, 1, second))).toEqual([null, 21, 21]);
+});
+
+it("returns no value from before an unread part", () => {
+  const unread = [{ fromNs: 21n, toNs: 49n }, { fromNs: 61n, toNs: 100n }];
+  expect([0n, 21n, 30n, 55n, 61n, 200n].map((timeNs) => unreadUntil(unread, timeNs))).toEqual([null, 49n, 49n, 49n, 100n, 100n]);
+  const curves = { seconds: [0, 20, 55], values: [[10, 11, 12]] };
+  expect(valueAt(curves, 0, 30, 49)).toBeNull();
+  expect(valueAt(curves, 0, 52, 49)).toBeNull();
+  expect(valueAt(curves, 0, 56, 49)).toBe(12);
 });

@@ -109,8 +109,13 @@ export function aligned(topics: readonly { readonly curves: number; readonly seg
   return { seconds, values: Array.from({ length: total }, (_, curve) => seconds.map((second) => points.get(second)?.[curve])) };
 }
 
-/** Returns the last value of a curve at or before a time, in seconds; null where there is none. */
-export function valueAt({ seconds, values }: Aligned, curve: number, second: number): number | null {
+/** Returns the end of the last unread part that begins at or before a time; null where there is none. */
+export function unreadUntil(unread: readonly Span[], timeNs: bigint): bigint | null {
+  return unread.reduce<bigint | null>((latest, { fromNs, toNs }) => (fromNs <= timeNs && (latest === null || toNs > latest) ? toNs : latest), null);
+}
+
+/** Returns the last value of a curve from `since` up to a time, in seconds; null where there is none. */
+export function valueAt({ seconds, values }: Aligned, curve: number, second: number, since = -Infinity): number | null {
   let [low, high] = [0, seconds.length];
   while (low < high) {
     const middle = (low + high) >> 1;
@@ -118,6 +123,7 @@ export function valueAt({ seconds, values }: Aligned, curve: number, second: num
     else high = middle;
   }
   for (let row = low - 1; row >= 0; row -= 1) {
+    if ((seconds[row] ?? 0) < since) return null;
     const value = values[curve]?.[row];
     if (value !== undefined) return value;
   }

@@ -63,6 +63,25 @@ it("ends the reader that was not used for the longest time", async () => {
   expect(closed).toHaveLength(MAX_READERS + 1);
 });
 
+it("asks a file for its last message once, where the play head is behind the file and the message is shown", async () => {
+  const { sources, requested } = sourcesOf({ a: [10n], b: null, c: [210n] });
+  const at = async (atNs: bigint, shownNs: bigint | null) => (await sources.message(series, { ...request("valid", atNs), shownNs }, {})).message?.logTimeNs;
+  expect(await at(202n, null)).toBe(10n);
+  expect(await at(203n, 10n)).toBe(10n);
+  expect(requested).toEqual(["c", "b", "a", "c"]);
+  expect(await at(204n, null)).toBe(10n); // its product is not known any more
+  expect(requested).toEqual(["c", "b", "a", "c", "c", "a"]);
+  expect(await at(150n, 10n)).toBe(10n); // within the file without the topic
+  expect(await at(5n, 10n)).toBeUndefined();
+});
+
+it("starts no reader after it was closed", async () => {
+  const { sources, requested } = sourcesOf({ a: [10n] });
+  sources.close();
+  await expect(sources.message(series, request("valid", 50n), {})).rejects.toMatchObject({ code: "cancelled" });
+  expect(requested).toEqual([]);
+});
+
 it("merges the times at which recordings ran", () => {
   const other = { ...split, files: [file("x", 50n, 120n), file("y", 900n, 950n)] };
   expect(recordedSpans([split, other])).toEqual([{ fromNs: 0n, toNs: 199n }, { fromNs: 200n, toNs: 299n }, { fromNs: 900n, toNs: 950n }]);

@@ -1,5 +1,5 @@
 // The recordings that the viewer reads: one worker for each file, started when a panel needs it.
-import type { Which, MessageRequest, MessagesRequest, ProductName } from "@/recordings/products/products";
+import type { Which, MessageRequest, MessagesRequest, ProductName, ReadMessage } from "@/recordings/products/products";
 import type { DrawnCurves, OfferedFields, Opened, ReadableFormat } from "@/recordings/protocol";
 import type { MessageAnswer, MessagesAnswer, RecordingReader, RequestOptions } from "@/recordings/reader";
 import type { Series } from "./layout";
@@ -40,6 +40,9 @@ export const MAX_READERS = 8;
 
 export class Sources {
   private readonly open = new Map<string, Open>();
+  /** By file and topic: the last message, without its product; null where there is none. */
+  private readonly lasts = new Map<string, ReadMessage | null>();
+  private isClosed = false;
 
   constructor(
     readonly recordings: readonly SourceRecording[],
@@ -58,13 +61,26 @@ export class Sources {
     let best: MessageAnswer<P> = { message: null, searchedToNs: null, damaged: [] };
     for (const file of candidates(this.filesOf(series), request.which, request.atNs)) {
       if (best.message !== null && !mayHaveCloser(file, request.which, best.message.logTimeNs)) continue;
-      const answer = await this.use(file, (reader) => topicOrNone(reader.message({ ...request, topic: series.topic }, options)));
+      const answer = await this.messageIn(file, series, request, options);
       if (answer === null) continue;
       if (answer.message !== null && (best.message === null || isCloser(request.which, answer.message.logTimeNs, best.message.logTimeNs))) best = answer;
       else if (best.message === null) best = { ...answer, message: null };
       if (answer.searchedToNs !== null) break; // what is further away is not searched
     }
     return best;
+  }
+
+  /** Find a message in one file. For times behind the file, its answer is remembered: each step of the play head asks again. */
+  private async messageIn<P extends ProductName>(file: SourceFile, { topic }: Series, request: MessageAt<P>, options: RequestOptions): Promise<MessageAnswer<P> | null> {
+    const key = `${file.id} ${topic}`;
+    const isPast = request.which === "valid" && request.atNs >= file.span.toNs;
+    const last = isPast ? this.lasts.get(key) : undefined;
+    if (last === null) return null;
+    if (last !== undefined && last.logTimeNs === request.shownNs) return { message: { ...last, product: null }, searchedToNs: null, damaged: [] };
+    const answer = await this.use(file, (reader) => topicOrNone(reader.message({ ...request, topic }, options)));
+    const isCertain = answer === null || (answer.searchedToNs === null && answer.damaged.length === 0);
+    if (isPast && isCertain) this.lasts.set(key, answer === null || answer.message === null ? null : { ...answer.message, product: null });
+    return answer;
   }
 
   messages<P extends ProductName>(file: SourceFile, series: Series, request: MessagesIn<P>, options: RequestOptions): Promise<MessagesAnswer<P> | null> {
@@ -90,11 +106,13 @@ export class Sources {
   }
 
   close(): void {
+    this.isClosed = true;
     for (const { reader } of this.open.values()) reader.close();
     this.open.clear();
   }
 
   private async use<Result>(file: SourceFile, act: (reader: FileReader) => Promise<Result>): Promise<Result> {
+    if (this.isClosed) throw new ReadFailure("cancelled"); // what waited for another request still comes here
     const open = this.open.get(file.id) ?? { reader: this.openReader(file), requests: 0 };
     this.open.delete(file.id);
     this.open.set(file.id, open); // as the youngest

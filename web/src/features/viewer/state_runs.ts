@@ -108,9 +108,10 @@ export function barsOf(runs: readonly StateRun[], { fromNs, toNs }: Span, pixels
   return bars;
 }
 
-/** Returns the run that is valid at a time; null where it is before the first. */
-export function runAt(runs: readonly StateRun[], timeNs: bigint): StateRun | null {
-  return runs[placeOf(runs, timeNs)] ?? null;
+/** Returns the run that is valid at a time; null where it is before the first, or where `unread` is between. */
+export function runAt(runs: readonly StateRun[], timeNs: bigint, unread: readonly Span[] = []): StateRun | null {
+  const run = runs[placeOf(runs, timeNs)];
+  return run === undefined || unread.some(({ fromNs }) => fromNs > run.toNs && fromNs <= timeNs) ? null : run;
 }
 
 /** Returns how long the value of a run lasts, in nanoseconds. */

@@ -22,6 +22,8 @@ describe("a state timeline", () => {
     expect(runs.map((run) => durationNs(runs, run))).toEqual([20n, 30n, 10n]);
     expect(runAt(runs, 49n)?.value).toBe("drive");
     expect(runAt(runs, -1n)).toBeNull();
+    expect(runAt(runs, 49n, [{ fromNs: 45n, toNs: 48n }])).toBeNull();
+    expect(runAt(runs, 49n, [{ fromNs: 50n, toNs: 60n }])?.value).toBe("drive");
   });
 
   it("goes from change to change", () => {

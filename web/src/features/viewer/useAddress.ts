@@ -33,8 +33,13 @@ export function useAddress(clock: Clock, defaults: () => readonly Panel[]): View
   let writing: ReturnType<typeof setTimeout> | null = null;
   let written = time.value;
 
+  /** One text, so that the panels stay the same objects while only the time in the address changes. */
+  const joined = computed(() => JSON.stringify(texts.value));
   const panels = computed<readonly Panel[]>({
-    get: () => (texts.value.length === 0 ? defaults() : panelsOf(texts.value)),
+    get: () => {
+      const own = JSON.parse(joined.value) as string[];
+      return own.length === 0 ? defaults() : panelsOf(own);
+    },
     set: (next) => (texts.value = next.length === 0 ? [""] : next.map(panelText)),
   });
 

@@ -44,17 +44,19 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
   const unread = computed(() => files.value.flatMap((file) => unreadParts(file, segments.value)));
   const wholeBytes = computed(() => (unread.value.length === 0 ? 0 : segments.value.reduce((sum, { wholeBytes: bytes, isCut }) => sum + (isCut ? bytes : 0), 0)));
 
-  /** Runs one reading at a time, which ends when the series changes. */
-  async function attempt(act: (read: Read) => Promise<void>): Promise<void> {
-    if (isReading.value) return;
+  /** Runs one reading at a time, which ends when the series changes. Returns whether it was completed. */
+  async function attempt(act: (read: Read) => Promise<void>): Promise<boolean> {
+    if (isReading.value) return false;
     const own = controller;
     isReading.value = true;
     failure.value = null;
     try {
       await act((file, part, maxBytes) => read(file, part, maxBytes, own.signal));
+      return !own.signal.aborted;
     } catch (thrown) {
       const failed = failureOf(thrown, "worker_ended");
       if (own === controller && failed.code !== "cancelled") failure.value = failed;
+      return false;
     } finally {
       if (own === controller) isReading.value = false;
     }
@@ -78,7 +80,7 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
     return show(segmentOf(file.id, part, result.curves, secondsOf(clock, result.opened.span?.fromNs ?? file.span.fromNs)));
   }
 
-  function readBeginning(): Promise<void> {
+  function readBeginning(): Promise<boolean> {
     return attempt(async (readPart) => {
       let bytesLeft = PLOT_BYTES;
       for (const file of files.value) {
@@ -89,7 +91,7 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
     });
   }
 
-  function readAll(): Promise<void> {
+  function readAll(): Promise<boolean> {
     return attempt(async (readPart) => {
       for (const file of files.value) {
         for (const part of unreadParts(file, segments.value)) await readPart(file, part, Infinity);
@@ -97,7 +99,7 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
     });
   }
 
-  function readAround(timeNs: bigint): Promise<void> {
+  function readAround(timeNs: bigint): Promise<boolean> {
     return attempt(async (readPart) => {
       for (const file of files.value) {
         const part = partAround(unreadParts(file, segments.value), timeNs);
@@ -127,15 +129,23 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
   function draw(): void {
     if (offered.value === null) return;
     stop();
-    if (fields.value.length > 0) void readBeginning();
+    if (fields.value.length > 0) void thenFollow(readBeginning());
+  }
+
+  /** Reads around the play head where that was not read; goes on until it is, also where the play head has moved since. */
+  async function follow(): Promise<void> {
+    const timeNs = clock.timeNs.value;
+    const isUnread = unread.value.some((part) => timeNs >= part.fromNs && timeNs <= part.toNs);
+    if (isUnread && !isReading.value && failure.value === null && fields.value.length > 0 && (await readAround(timeNs))) await follow();
+  }
+
+  async function thenFollow(reading: Promise<boolean>): Promise<void> {
+    if (await reading) await follow();
   }
 
   watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
   watch(() => JSON.stringify([offered.value === null, fields.value]), draw);
-  watch(clock.timeNs, (timeNs) => {
-    const isUnread = unread.value.some((part) => timeNs >= part.fromNs && timeNs <= part.toNs);
-    if (isUnread && fields.value.length > 0 && failure.value === null) void readAround(timeNs);
-  });
+  watch(clock.timeNs, follow);
   onScopeDispose(() => controller.abort());
-  return { segments, offered, fields, unread, failure, isReading, wholeBytes, readAll: () => void readAll(), again: () => (offered.value === null ? restart() : draw()) };
+  return { segments, offered, fields, unread, failure, isReading, wholeBytes, readAll: () => void thenFollow(readAll()), again: () => (offered.value === null ? restart() : draw()) };
 }

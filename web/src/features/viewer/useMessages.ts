@@ -21,7 +21,8 @@ const PAGE_BYTES = 4 * 2 ** 20;
 /** Pages that are read unasked to come to the play head; then reading begins anew shortly before it. */
 const MAX_PAGES = 4;
 const MAX_MESSAGES = 20_000;
-const BEFORE_NS = 5_000_000_000n;
+/** How long before the play head reading begins; a shorter time, where that is too much. */
+const BEFORE_NS = [5_000_000_000n, 500_000_000n, 50_000_000n] as const;
 const AHEAD_NS = 2_000_000_000n;
 /** Lists come after what is valid at the play head, and before curves. */
 const AFTER_MESSAGES = 500;
@@ -40,7 +41,7 @@ export function useMessages<P extends ProductName>(series: () => Series | undefi
   const isWhole = computed(() => read.value !== null && read.value.toNs >= endNs.value && read.value.fromNs <= (files.value[0]?.span.fromNs ?? 0n));
 
   function isBehind(timeNs: bigint): boolean {
-    return read.value !== null && read.value.toNs < endNs.value && read.value.toNs < timeNs;
+    return files.value.length > 0 && read.value !== null && read.value.toNs < endNs.value && read.value.toNs < timeNs;
   }
 
   /** Reads one page behind what was read. */
@@ -81,12 +82,21 @@ export function useMessages<P extends ProductName>(series: () => Series | undefi
     } finally {
       if (!signal.aborted) isReading.value = false;
     }
-    if (!signal.aborted && failure.value === null && isBehind(timeNs)) begin(timeNs - BEFORE_NS);
+    if (!signal.aborted && failure.value === null) approach(clock.timeNs.value);
+  }
+
+  /** Goes on where the play head was not reached: from a time that is nearer to it, else from where reading ended. */
+  function approach(headNs: bigint): void {
+    const fromNs = read.value?.fromNs;
+    if (fromNs === undefined || !isBehind(headNs)) return;
+    const beforeNs = BEFORE_NS.find((length) => 2n * length <= headNs - fromNs);
+    if (beforeNs === undefined) void readTo(headNs);
+    else begin(headNs - beforeNs);
   }
 
   function follow(timeNs: bigint): void {
     if (read.value === null || failure.value !== null) return;
-    if (timeNs < read.value.fromNs) begin(timeNs - BEFORE_NS);
+    if (timeNs < read.value.fromNs) begin(timeNs - BEFORE_NS[0]);
     else if (isBehind(timeNs + AHEAD_NS)) void readTo(timeNs + AHEAD_NS);
   }
 

@@ -51,17 +51,19 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
   const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
   const unread = computed(() => files.value.flatMap((file) => unreadParts(file, parts.value)));
 
-  /** Runs one reading at a time, which ends when the series changes. */
-  async function attempt(act: (read: Read) => Promise<void>): Promise<void> {
-    if (isReading.value) return;
+  /** Runs one reading at a time, which ends when the series changes. Returns whether it was completed. */
+  async function attempt(act: (read: Read) => Promise<void>): Promise<boolean> {
+    if (isReading.value) return false;
     const own = controller;
     isReading.value = true;
     failure.value = null;
     try {
       await act((file, part, maxPages) => read(file, part, maxPages, own.signal));
+      return !own.signal.aborted;
     } catch (thrown) {
       const failed = failureOf(thrown, "worker_ended");
       if (own === controller && failed.code !== "cancelled") failure.value = failed;
+      return false;
     } finally {
       if (own === controller) isReading.value = false;
     }
@@ -84,7 +86,7 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
     return pages;
   }
 
-  function readBeginning(): Promise<void> {
+  function readBeginning(): Promise<boolean> {
     return attempt(async (readPart) => {
       let pagesLeft = BEGINNING_PAGES;
       for (const file of files.value) {
@@ -94,7 +96,7 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
     });
   }
 
-  function readAll(): Promise<void> {
+  function readAll(): Promise<boolean> {
     return attempt(async (readPart) => {
       for (const file of files.value) {
         for (const part of unreadParts(file, parts.value)) await readPart(file, part, Infinity);
@@ -102,7 +104,7 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
     });
   }
 
-  function readAround(timeNs: bigint): Promise<void> {
+  function readAround(timeNs: bigint): Promise<boolean> {
     return attempt(async (readPart) => {
       for (const file of files.value) {
         const part = partAround(unreadParts(file, parts.value), timeNs);
@@ -116,17 +118,23 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
     controller = new AbortController();
     isReading.value = false;
     parts.value = [];
-    void readBeginning().then(() => follow(clock.timeNs.value));
+    void thenFollow(readBeginning());
   }
 
-  function follow(timeNs: bigint): void {
-    const isUnread = unread.value.some(({ fromNs, toNs }) => timeNs >= fromNs && timeNs <= toNs);
-    if (isUnread && failure.value === null) void readAround(timeNs);
+  /** Reads around the play head where that was not read; goes on until it is, also where the play head has moved since. */
+  async function follow(): Promise<void> {
+    const timeNs = clock.timeNs.value;
+    const isUnread = unread.value.some((part) => timeNs >= part.fromNs && timeNs <= part.toNs);
+    if (isUnread && !isReading.value && failure.value === null && (await readAround(timeNs))) await follow();
+  }
+
+  async function thenFollow(reading: Promise<boolean>): Promise<void> {
+    if (await reading) await follow();
   }
 
   watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
   watch(clock.timeNs, follow);
   onScopeDispose(() => controller.abort());
   const inOrder = computed(() => parts.value.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1)));
-  return { parts: inOrder, unread, failure, isReading, readAll: () => void readAll(), again: restart };
+  return { parts: inOrder, unread, failure, isReading, readAll: () => void thenFollow(readAll()), again: restart };
 }
