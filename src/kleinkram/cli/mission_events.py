@@ -14,7 +14,7 @@ from kleinkram.client import Client
 from kleinkram.client._resources import known_id
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.mission_events import MissionEventDetails
-from kleinkram.contract.mission_events import MissionEventFilter, MissionEventRead, MissionEventSort
+from kleinkram.contract.mission_events import EventReference, MissionEventFilter, MissionEventRead, MissionEventSort
 from kleinkram.contract.runs import FindingFilter
 from kleinkram.contract.text_tables import csv_text
 from kleinkram.recordings.time_range import resolve_time
@@ -170,23 +170,29 @@ def _cells(row: MissionEventRead) -> tuple[object, ...]:
 
 
 def _source(row: MissionEventRead) -> str | None:
-    """Return the file or the recording that an event refers to."""
-    if row.file is not None:
-        return row.file.path
-    return None if row.recording is None else row.recording.name
+    """Return the file or the recording that an event refers to, also where the mission no longer has it."""
+    return _reference(row, EventReference.file) or _reference(row, EventReference.recording)
+
+
+def _reference(row: MissionEventRead, kind: EventReference) -> str | None:
+    """Return the name of what an event refers to, if it is of this kind."""
+    if row.refers_to is not kind:
+        return None
+    name = row.file.path if row.file is not None else row.recording and row.recording.name
+    return name or "not in the mission"
 
 
 def _write_csv(rows: Sequence[MissionEventRead]) -> None:
     """Print events with all digits, times also in UTC."""
     writer = csv.writer(sys.stdout, lineterminator="\n")
     names = ("id", "project", "mission", "name", "start_ns", "end_ns", "start", "end", "labels", "colour", "note")
-    writer.writerow([*names, "file", "recording", "topic", "run", "created_at", "created_by"])
+    writer.writerow([*names, "refers_to", "file", "recording", "topic", "run", "created_at", "created_by"])
     for row in rows:
         times = (row.start_ns, row.end_ns, instant(row.start_ns), instant(row.end_ns))
         texts = (", ".join(row.labels), row.colour, row.note)
-        references = (row.file and row.file.path, row.recording and row.recording.name, row.topic, row.run_id)
+        sources = (row.refers_to.value, row.file and row.file.path, row.recording and row.recording.name)
         made = (moment(row.created_at), row.created_by and row.created_by.name)
-        cells = (row.id, *_place(row), row.name, *times, *texts, *references, *made)
+        cells = (row.id, *_place(row), row.name, *times, *texts, *sources, row.topic, row.run_id, *made)
         writer.writerow([csv_text(cell) if isinstance(cell, str) else cell for cell in cells])
 
 
@@ -200,8 +206,8 @@ def _output(event: MissionEventRead) -> Output:
         ("span", span(event.start_ns, event.end_ns)),
         ("labels", event.labels),
         ("colour", event.colour),
-        ("file", event.file and event.file.path),
-        ("recording", event.recording and event.recording.name),
+        ("file", _reference(event, EventReference.file)),
+        ("recording", _reference(event, EventReference.recording)),
         ("topic", event.topic),
         ("run", event.run_id),
         ("added", f"{moment(event.created_at)} by {event.created_by.name}" if event.created_by else event.created_at),

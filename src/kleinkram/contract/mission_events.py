@@ -29,6 +29,14 @@ EventTopic = Annotated[str, AfterValidator(check_text), Field(min_length=1, max_
 FindingId = Annotated[int, Field(ge=1, le=2**63 - 1)]
 
 
+class EventReference(str, enum.Enum):
+    """What an event is of: all of its mission, or one file or recording."""
+
+    mission = "mission"
+    file = "file"
+    recording = "recording"
+
+
 class MissionEventCreate(Request):
     """An event to add to a mission: a moment, or a span where `end_ns` is later than `start_ns`.
 
@@ -59,7 +67,8 @@ class MissionEventCreate(Request):
 class MissionEventUpdate(Request):
     """Changes of an event; omitted fields stay. Null removes an end, which makes it a moment, a colour or a reference.
 
-    A `file_id` replaces the recording that the event refers to, a `recording_id` the file.
+    A `file_id` replaces the recording that the event refers to, a `recording_id` the file. Null also removes the
+    reference to a file or a recording that is gone: the event is of the whole mission then.
     """
 
     name: Name | None = None
@@ -93,7 +102,7 @@ class EventRecordingRef(Response):
     name: str
 
 
-_EDITABLE = ("name", "start_ns", "end_ns", "labels", "colour", "note", "topic")
+_EDITABLE = ("name", "start_ns", "end_ns", "labels", "colour", "note", "refers_to", "topic")
 
 
 def _etag(values: dict[str, Any]) -> str:
@@ -104,9 +113,11 @@ def _etag(values: dict[str, Any]) -> str:
 class MissionEventRead(Response):
     """A moment or a span of a mission. Times are log times, in ns since 1970, and both ends belong to a span.
 
-    `end_ns` is null for a moment, or equal to the start. `file` is null also where the file is in the trash or was
-    moved. `run_id` is the run that added it or reported its finding. `created_by` is null for callers without an
-    account. `etag` covers the edited fields: a change with an outdated one is refused.
+    `end_ns` is null for a moment, or equal to the start. `refers_to` is what the event is of. `file` is null also where
+    that file is in the trash, was moved or is deleted, and `recording` where that recording no longer exists, as when
+    it got another name: the event is then of nothing in the mission. `run_id` is the run that added it or reported its
+    finding. `created_by` is null for callers without an account. `etag` covers the edited fields: a change with an
+    outdated one is refused.
     """
 
     id: uuid.UUID
@@ -117,6 +128,7 @@ class MissionEventRead(Response):
     labels: list[str]
     colour: str | None
     note: str
+    refers_to: EventReference
     file: EventFileRef | None
     recording: EventRecordingRef | None
     topic: str | None

@@ -130,6 +130,18 @@ def test_one_mcap_is_cut_around_each_event(
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+def test_nothing_is_cut_of_an_event_whose_file_is_gone(
+    klein: Klein, client: Client, api: Api, mission: str, tmp_path: Path
+) -> None:
+    file_id = client.files.get("drive.mcap", mission=mission).id
+    event = client.mission_events.add(mission, "vanished", "+4s", file_id=file_id)
+    api.sql("UPDATE mission_event SET file_id = NULL WHERE id = %s", event.id)  # as when the file is purged
+    refused = klein("cut", "-m", mission, "--event", "vanished", "-o", tmp_path, code=3)
+    assert "the file that the event refers to is no longer in the mission" in refused.stderr
+    assert [*tmp_path.iterdir()] == []
+    assert "not in the mission" in klein("event", "info", event.id).stdout
+
+
 def test_files_and_missions_are_selected_by_their_events(
     klein: Klein, client: Client, mission: str, tmp_path: Path
 ) -> None:

@@ -100,6 +100,21 @@ def test_missions_are_found_by_their_events(walk: Walk, query: str, count: int) 
     assert walk.missions_with(query) == count
 
 
+def test_an_event_of_a_file_or_recording_that_is_gone_finds_no_file(walk: Walk) -> None:
+    sample = Sample(walk.api)
+    files = {name: sample.file(walk.mission_id, name, start_ns=_AT_NS, end_ns=_AT_NS + _S) for name in ("1", "2", "3")}
+    for name in ("1", "2"):
+        walk.add("gone", 1, file_id=files[name])
+    walk.add("gone", 1, recording_id=sample.recording(walk.mission_id, "three", [files["3"]]))
+    assert walk.files_with("event:gone") == {"1", "2", "3"}
+    walk.api.delete(f"/files/{files['1']}").ok()
+    walk.api.sql("DELETE FROM file WHERE id = ANY(%s)", [files["2"]])
+    walk.api.sql("DELETE FROM recording WHERE mission_id = %s AND name = 'three'", walk.mission_id)
+    assert walk.files_with("event:gone") == set()
+    assert walk.missions_with("event:gone") == 1
+    walk.api.sql("DELETE FROM file WHERE id = ANY(%s)", [files["1"], files["3"]])
+
+
 def test_files_are_not_read_where_missions_decide(walk: Walk) -> None:
     with walk.api.statements() as statements:
         walk.missions_with("event:stumble")

@@ -10,6 +10,7 @@ import pytest
 from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.mission_events import MAX_MISSION_EVENTS
 from kleinkram.server.access.builtin_groups import OWNER_ID
+from kleinkram.server.filters import plan as search_plan
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.event_client import listening
@@ -154,9 +155,24 @@ def test_a_reference_to_a_recording_replaces_that_to_a_file(api: Api, mission_id
     recording_id = sample.recording(mission_id, "one", [file_id])
     made = _add(api, mission_id, file_id=file_id)
     changed = api.patch(f"/mission-events/{made['id']}", {"recording_id": recording_id}).ok()
+    assert (made["refers_to"], changed["refers_to"]) == ("file", "recording")
     assert (changed["file"], changed["recording"]) == (None, {"id": recording_id, "name": "one"})
     api.sql("DELETE FROM recording WHERE id = %s", recording_id)
-    assert api.get(f"/mission-events/{made['id']}").ok()["recording"] is None
+    lost = api.get(f"/mission-events/{made['id']}").ok()
+    assert (lost["refers_to"], lost["recording"]) == ("recording", None)
+
+
+def test_a_reference_is_removed_only_on_request_also_when_its_file_is_gone(api: Api, mission_id: str) -> None:
+    path = f"/mission-events/{_add(api, mission_id, file_id=Sample(api).file(mission_id, 'one.mcap'))['id']}"
+    assert api.patch(path, {"recording_id": None, "note": "x"}).ok()["refers_to"] == "file"
+    api.sql("DELETE FROM file WHERE mission_id = %s", mission_id)
+    lost = api.patch(path, {"note": "y"}).ok()
+    assert (lost["refers_to"], lost["file"]) == ("file", None)
+    removed = api.patch(path, {"file_id": None}).ok()
+    assert (removed["refers_to"], removed["etag"] == lost["etag"]) == ("mission", False)
+    entry = api.events(mission_id)[0]
+    assert (entry["before"], entry["after"]) == ({"refers_to": "file"}, {"refers_to": "mission"})
+    assert _add(api, mission_id)["refers_to"] == "mission"
 
 
 def test_rights_are_those_of_files_and_people_may_change_their_own(api: Api, mission_id: str) -> None:
@@ -266,6 +282,27 @@ def test_lists_are_filtered_and_ordered_page_by_page(api: Api, mission_id: str) 
     assert len(statements) <= 3
 
 
+def test_lists_of_all_missions_name_those_that_a_person_sees(
+    api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, reader = _add(api, mission_id), people.person(api)
+    _add(api, str(api.mission(api.project()["id"])["id"]))
+    people.grant(api, reader, Right.read, mission_id=mission_id)
+
+    def is_named(token: str | None, **query: str) -> bool:
+        with api.statements() as statements:
+            assert made in api.as_(token).all("/mission-events", {"limit": "500", **query})
+        return any("mission_event.mission_id = ANY" in statement for statement in statements)
+
+    assert api.as_(reader.token).all("/mission-events") == [made]
+    assert is_named(reader.token)
+    assert is_named(reader.token, sort="-created", name="stum*")
+    assert not is_named(reader.token, mission_id=mission_id)
+    assert not is_named(api.token, sort="-created")
+    monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", 0)
+    assert not is_named(reader.token)
+
+
 def test_events_go_with_their_mission_and_its_project(api: Api, mission_id: str) -> None:
     made, destination = _add(api, mission_id), api.project()["id"]
     api.patch(f"/missions/{mission_id}", {"project_id": destination}).ok()
@@ -280,10 +317,13 @@ def test_events_go_with_their_mission_and_its_project(api: Api, mission_id: str)
 def test_an_event_stays_when_its_file_is_deleted(api: Api, mission_id: str) -> None:
     file_id = Sample(api).file(mission_id, "one.mcap")
     made = _add(api, mission_id, file_id=file_id)
-    api.delete(f"/files/{file_id}").ok()
-    assert api.get(f"/mission-events/{made['id']}").ok()["file"] is None
-    api.sql("DELETE FROM file WHERE id = %s", file_id)
-    assert api.get(f"/mission-events/{made['id']}").ok()["name"] == "stumble"
+    for remove in (
+        lambda: api.delete(f"/files/{file_id}").ok(),
+        lambda: api.sql("DELETE FROM file WHERE id = %s", file_id),
+    ):
+        remove()
+        shown = api.get(f"/mission-events/{made['id']}").ok()
+        assert (shown["name"], shown["refers_to"], shown["file"]) == ("stumble", "file", None)
 
 
 def test_a_mission_has_a_limited_number_of_events(api: Api, mission_id: str) -> None:

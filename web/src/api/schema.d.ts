@@ -4556,6 +4556,12 @@ export interface components {
             name: string;
         };
         /**
+         * EventReference
+         * @description What an event is of: all of its mission, or one file or recording.
+         * @enum {string}
+         */
+        EventReference: "mission" | "file" | "recording";
+        /**
          * ExecutorAbilities
          * @description What an executor supports.
          *
@@ -6049,9 +6055,11 @@ export interface components {
          * MissionEventRead
          * @description A moment or a span of a mission. Times are log times, in ns since 1970, and both ends belong to a span.
          *
-         *     `end_ns` is null for a moment, or equal to the start. `file` is null also where the file is in the trash or was
-         *     moved. `run_id` is the run that added it or reported its finding. `created_by` is null for callers without an
-         *     account. `etag` covers the edited fields: a change with an outdated one is refused.
+         *     `end_ns` is null for a moment, or equal to the start. `refers_to` is what the event is of. `file` is null also where
+         *     that file is in the trash, was moved or is deleted, and `recording` where that recording no longer exists, as when
+         *     it got another name: the event is then of nothing in the mission. `run_id` is the run that added it or reported its
+         *     finding. `created_by` is null for callers without an account. `etag` covers the edited fields: a change with an
+         *     outdated one is refused.
          */
         MissionEventRead: {
             /** Colour */
@@ -6082,6 +6090,7 @@ export interface components {
             /** Note */
             note: string;
             recording: components["schemas"]["EventRecordingRef"] | null;
+            refers_to: components["schemas"]["EventReference"];
             /** Run Id */
             run_id: string | null;
             /** Start Ns */
@@ -6099,7 +6108,8 @@ export interface components {
          * MissionEventUpdate
          * @description Changes of an event; omitted fields stay. Null removes an end, which makes it a moment, a colour or a reference.
          *
-         *     A `file_id` replaces the recording that the event refers to, a `recording_id` the file.
+         *     A `file_id` replaces the recording that the event refers to, a `recording_id` the file. Null also removes the
+         *     reference to a file or a recording that is gone: the event is of the whole mission then.
          */
         MissionEventUpdate: {
             /** Colour */

@@ -20,7 +20,7 @@ from kleinkram.client.transfer.report import Outcome, TransferReport, TransferRe
 from kleinkram.client.transfer.slices import failure_of, make_dest
 from kleinkram.contract.errors import FileUnavailable, KleinkramError
 from kleinkram.contract.files import RecordingRead
-from kleinkram.contract.mission_events import MissionEventRead
+from kleinkram.contract.mission_events import EventReference, MissionEventRead
 from kleinkram.contract.names import check_file_path, name_key
 
 if TYPE_CHECKING:
@@ -108,7 +108,8 @@ def cut_event_slices(
 
     The recordings of the mission at that time are merged, except those that runs made; of an event that refers to a
     file or a recording, it is that recording. An existing file stays, and is refused. `left_out` of the report has the
-    events at whose time nothing of the topics was recorded, and recordings that cannot be read.
+    events at whose time nothing of the topics was recorded, those that refer to something that is no longer in the
+    mission, and recordings that cannot be read.
 
     Raises:
         NothingToDo: nothing was recorded at the time of any event.
@@ -176,10 +177,19 @@ class _OpenRecordings:
 
 
 def _is_of(event: MissionEventRead, row: RecordingRead) -> bool:
-    """Return whether a recording is what an event refers to, if it refers to one."""
-    if event.recording is not None:
-        return row.id == event.recording.id
-    return event.file is None or event.file.id in row.file_ids
+    """Return whether an event is of a recording: none where what it refers to is gone."""
+    if event.refers_to is EventReference.recording:
+        return event.recording is not None and row.id == event.recording.id
+    if event.refers_to is EventReference.file:
+        return event.file is not None and event.file.id in row.file_ids
+    return True
+
+
+def _why_none(event: MissionEventRead) -> str:
+    """Return why no recording has anything at the time of an event."""
+    if event.refers_to is EventReference.mission or event.file is not None or event.recording is not None:
+        return "nothing was recorded then"
+    return f"the {event.refers_to.value} that the event refers to is no longer in the mission"
 
 
 def _cut(
@@ -194,7 +204,7 @@ def _cut(
             raise DestinationRefused(path=str(one.local), reason="it exists, and is not replaced; use another folder")
         sources = recordings.around(one)
         if not sources:
-            return NothingToDo(reason=f"{one.relative}: nothing was recorded then")
+            return NothingToDo(reason=f"{one.relative}: {_why_none(one.event)}")
         make_dest(one.dest)
         make_folders(one.dest, one.relative)
         written = merge_to_mcap(sources, one.local, topics, start=one.start_ns, end=one.end_ns, options=options)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from sqlalchemy import ColumnElement, Select, and_, exists, func, or_, select
 
 from kleinkram.contract.errors import InvalidQuery
+from kleinkram.contract.mission_events import EventReference
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import matches_key
@@ -28,7 +29,8 @@ def has_event(actor: Actor, names: Sequence[str]) -> list[ColumnElement[bool]]:
 def recorded_during_event(actor: Actor, names: Sequence[str]) -> list[ColumnElement[bool]]:
     """Return the conditions that each `file`, joined with its `blob`, was recorded during an event, or is its file.
 
-    An event that refers to a file or a recording is of that one; others are of all files of the mission at that time.
+    An event that refers to a file or a recording is of that one, and of none where it is gone; others are of all files
+    of the mission at that time.
 
     Raises:
         InvalidQuery: the actor does not see events.
@@ -40,7 +42,7 @@ def recorded_during_event(actor: Actor, names: Sequence[str]) -> list[ColumnElem
     is_of_file = or_(
         mission_event.c.file_id == file.c.id,
         mission_event.c.recording_id.is_not(None) & (mission_event.c.recording_id == file.c.recording_id) & is_during,
-        mission_event.c.file_id.is_(None) & mission_event.c.recording_id.is_(None) & is_during,
+        (mission_event.c.refers_to == EventReference.mission.value) & is_during,
     )
     during = (
         exists()

@@ -10,8 +10,10 @@ from sqlalchemy import (
     Text,
     Update,
     and_,
+    any_,
     false,
     func,
+    literal,
     or_,
     select,
     true,
@@ -23,7 +25,7 @@ from sqlalchemy.dialects.postgresql import ARRAY
 from kleinkram.contract.mission_events import MissionEventFilter, MissionEventRead, MissionEventSort
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import is_visible_mission, sees_whole_missions
-from kleinkram.server.db import among, matches_key
+from kleinkram.server.db import ArrayText, among, matches_key
 from kleinkram.server.filters.dates import nanoseconds
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import file, mission, mission_event, person, project, recording, run, run_finding
@@ -88,6 +90,11 @@ def filter_events(stmt: Select[Any], matching: MissionEventFilter) -> Select[Any
     if matching.before is not None:
         conditions.append(mission_event.c.start_ns <= nanoseconds(matching.before))
     return stmt.where(*conditions)
+
+
+def of_missions(stmt: Select[Any], mission_ids: str) -> Select[Any]:
+    """Return the events of a select that are of some missions, whose ids are as PostgreSQL writes arrays."""
+    return stmt.where(mission_event.c.mission_id == any_(literal(mission_ids, ArrayText("UUID"))))
 
 
 def _of_missions(matching: MissionEventFilter) -> list[ColumnElement[bool]]:

@@ -12,6 +12,7 @@ from kleinkram.contract.errors import FieldProblem, InvalidRequest, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.mission_events import (
     MAX_MISSION_EVENTS,
+    EventReference,
     MissionEventCreate,
     MissionEventFilter,
     MissionEventRead,
@@ -24,13 +25,14 @@ from kleinkram.server.access.rights import require_match, require_mission
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.filters.plan import find_visible_mission_ids
 from kleinkram.server.mission_events import queries
 from kleinkram.server.missions.service import lock_mission
 from kleinkram.server.pagination import PageRequest, read_page
 from kleinkram.server.tables import mission_event
 
 # Fields of events that are columns of the same name.
-_PLAIN = ("start_ns", "end_ns", "labels", "colour", "note", "file_id", "recording_id", "topic")
+_PLAIN = ("start_ns", "end_ns", "labels", "colour", "note", "topic")
 _REQUIRED = ("name", "start_ns", "labels", "note")
 _UNIQUE = {"pk_mission_event": "id", "uq_mission_event_finding_id": "finding_id"}
 # The change event, and the operation with its permission, of each entry of the audit log.
@@ -46,6 +48,10 @@ async def list_events(
 ) -> Page[MissionEventRead]:
     """Return a page of the visible events that match. Raises InvalidCursor."""
     stmt = queries.filter_events(queries.visible_events(actor), matching)
+    if matching.mission_id is None and not matching.mission_ids:
+        # Missions have few events: those of all visible ones are sorted, instead of passing those of everybody.
+        visible_ids = await find_visible_mission_ids(db, actor)
+        stmt = stmt if visible_ids is None else queries.of_missions(stmt, visible_ids)
     return await read_page(db, stmt, queries.ORDERS[sort], page, lambda row: queries.to_event(row, actor))
 
 
@@ -81,6 +87,7 @@ async def create_event(
         raise _invalid("name", f"a mission has at most {MAX_MISSION_EVENTS:,} events")
     event_id = new_event.id or uuid.uuid4()
     values = {name: getattr(new_event, name) for name in _PLAIN}
+    values |= _reference(new_event.file_id, new_event.recording_id)
     values |= {"id": event_id, "mission_id": mission_id, "run_id": run_id, "finding_id": new_event.finding_id}
     values |= {"name": new_event.name, "name_key": name_key(new_event.name), "created_by_id": actor.person_id}
     values["labels"] = [*dict.fromkeys(new_event.labels)]
@@ -168,23 +175,35 @@ def _required(actor: Actor, event: MissionEventRead, operation: str) -> str:
 
 def _changed_values(old: MissionEventRead, changes: MissionEventUpdate) -> dict[str, Any]:
     """Return the columns that differ after a change."""
-    requested = {name: getattr(changes, name) for name in changes.model_fields_set}
-    present = {name: getattr(old, name) for name in ("name", *_PLAIN) if name in MissionEventRead.model_fields}
-    present |= {"file_id": old.file and old.file.id, "recording_id": old.recording and old.recording.id}
+    requested = {name: getattr(changes, name) for name in ("name", *_PLAIN) if name in changes.model_fields_set}
     values = {
         name: value
         for name, value in requested.items()
-        if value != present[name] and not (value is None and name in _REQUIRED)
+        if value != getattr(old, name) and not (value is None and name in _REQUIRED)
     }
     if "labels" in values:
         values["labels"] = [*dict.fromkeys(values["labels"])]
     if "name" in values:
         values["name_key"] = name_key(values["name"])
-    if values.get("file_id") is not None:
-        values["recording_id"] = None
-    if values.get("recording_id") is not None:
-        values["file_id"] = None
-    return values
+    return values | _changed_reference(old, changes)
+
+
+def _changed_reference(old: MissionEventRead, changes: MissionEventUpdate) -> dict[str, Any]:
+    """Return the columns of the reference where a change replaces or removes it, also one to something that is gone."""
+    named = changes.file_id is not None or changes.recording_id is not None
+    if not named and f"{old.refers_to.value}_id" not in changes.model_fields_set:
+        return {}
+    present = {"file_id": old.file and old.file.id, "recording_id": old.recording and old.recording.id}
+    values = _reference(changes.file_id, changes.recording_id)
+    return {} if values == {**present, "refers_to": old.refers_to.value} else values
+
+
+def _reference(file_id: uuid.UUID | None, recording_id: uuid.UUID | None) -> dict[str, Any]:
+    """Return the columns of an event's reference; without one, it is of the whole mission."""
+    refers_to = EventReference.mission if file_id is None else EventReference.file
+    if recording_id is not None:
+        refers_to = EventReference.recording
+    return {"file_id": file_id, "recording_id": recording_id, "refers_to": refers_to.value}
 
 
 def _check_span(start_ns: int, end_ns: int | None) -> None:
@@ -220,6 +239,7 @@ def _plain(event: MissionEventRead) -> Metadata:
         "labels": [*event.labels],
         "colour": event.colour,
         "note": event.note,
+        "refers_to": event.refers_to.value,
         "file": None if event.file is None else event.file.path,
         "recording": None if event.recording is None else event.recording.name,
         "topic": event.topic,

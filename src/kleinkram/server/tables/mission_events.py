@@ -2,7 +2,8 @@
 
 import sqlalchemy as sa
 
-from kleinkram.server.tables.base import created_at_column, id_column, metadata, sorted_text
+from kleinkram.contract.mission_events import EventReference
+from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 mission_event = sa.Table(
     "mission_event",
@@ -16,7 +17,8 @@ mission_event = sa.Table(
     sa.Column("labels", sa.ARRAY(sa.Text), nullable=False, server_default="{}"),
     sa.Column("colour", sa.Text),
     sa.Column("note", sa.Text, nullable=False, server_default=""),
-    # Kept without the reference when the file is purged; a recording that is derived again keeps its id.
+    # Stays when the file is purged, or the recording is derived again with another name: the event is then of nothing.
+    sa.Column("refers_to", sa.Text, nullable=False, server_default=EventReference.mission.value),
     sa.Column("file_id", sa.Uuid, sa.ForeignKey("file.id", ondelete="SET NULL"), index=True),
     sa.Column("recording_id", sa.Uuid, sa.ForeignKey("recording.id", ondelete="SET NULL"), index=True),
     sa.Column("topic", sa.Text(collation="C")),
@@ -31,7 +33,9 @@ mission_event = sa.Table(
     sa.CheckConstraint("char_length(note) <= 10000", name="note_length"),
     sa.CheckConstraint("cardinality(labels) <= 20", name="label_count"),
     sa.CheckConstraint("char_length(topic) BETWEEN 1 AND 1024", name="topic_length"),
-    sa.CheckConstraint("file_id IS NULL OR recording_id IS NULL", name="one_reference"),
+    one_of("refers_to", EventReference),
+    sa.CheckConstraint("refers_to = 'file' OR file_id IS NULL", name="file"),
+    sa.CheckConstraint("refers_to = 'recording' OR recording_id IS NULL", name="recording"),
     # Once for each finding; also finds the event when its finding is deleted.
     sa.UniqueConstraint("finding_id"),
     sa.Index("ix_mission_event_mission_start", "mission_id", "start_ns", "id"),

@@ -9,7 +9,7 @@ const MISSION = { id: "m", name: "day", project: { id: "p", name: "Alps" } };
 
 function event(more: Partial<MissionEvent> = {}): MissionEvent {
   return {
-    id: "e", mission: MISSION, name: "stumble", start_ns: ORIGIN + 10 * S, end_ns: null, labels: [], colour: null, note: "", file: null, recording: null, topic: null,
+    id: "e", mission: MISSION, name: "stumble", start_ns: ORIGIN + 10 * S, end_ns: null, labels: [], colour: null, note: "", refers_to: "mission", file: null, recording: null, topic: null,
     run_id: null, finding_id: null, created_at: "", created_by: { id: "ada", name: "Ada" }, etag: "1", ...more,
   };
 }
@@ -79,7 +79,9 @@ describe("cutting", () => {
     expect(cutPage(event(), files)).toEqual({ name: "file", params: { fileId: "a" }, query: { slice: `${ORIGIN + 5 * S}-${ORIGIN + 15 * S}` } });
     expect(cutPage(event({ start_ns: ORIGIN + 58 * S, end_ns: ORIGIN + 100 * S }), files)).toBeNull();
     expect(cutPage(event({ start_ns: ORIGIN + 210 * S }), files)).toBeNull();
-    expect(cutPage(event({ start_ns: ORIGIN + 210 * S, file: { id: "b", path: "b.mcap" } }), files)).toMatchObject({ params: { fileId: "b" } });
+    expect(cutPage(event({ start_ns: ORIGIN + 210 * S, refers_to: "file", file: { id: "b", path: "b.mcap" } }), files)).toMatchObject({ params: { fileId: "b" } });
+    expect(cutPage(event({ refers_to: "file" }), files)).toBeNull();
+    expect(cutPage(event({ refers_to: "recording" }), files)).toBeNull();
   });
 });
 

@@ -128,11 +128,17 @@ export interface FileTimes {
   readonly end_ns: number | null;
 }
 
+/** Whether an event is of a file between some times, as far as times tell: which files a recording has is not known here. */
+export function mayBeOf(event: MissionEvent, { id, start_ns: first, end_ns: last }: Omit<FileTimes, "path">, startNs: number, endNs: number): boolean {
+  if (event.refers_to === "file") return event.file?.id === id;
+  if (event.refers_to === "recording" && event.recording === null) return false;
+  return first !== null && last !== null && last >= startNs && first <= endNs;
+}
+
 /** Returns the page that cuts an event in the browser; null where not exactly one file that it can cut has it. */
 export function cutPage(event: MissionEvent, files: readonly FileTimes[]): RouteLocationRaw | null {
   const { startNs, endNs } = rangeAround(event);
-  const isMeant = ({ id, start_ns: first, end_ns: last }: FileTimes) => (event.file === null ? first !== null && last !== null && last >= startNs && first <= endNs : id === event.file.id);
-  const [file, ...others] = files.filter(isMeant);
+  const [file, ...others] = files.filter((one) => mayBeOf(event, one, startNs, endNs));
   if (file === undefined || others.length > 0 || !/\.(mcap|bag)$/i.test(file.path)) return null;
   return { name: "file", params: { fileId: file.id }, query: { slice: `${startNs}-${endNs}` } };
 }

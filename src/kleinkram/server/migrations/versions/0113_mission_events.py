@@ -22,6 +22,7 @@ CREATE TABLE mission_event (
     labels text[] NOT NULL DEFAULT '{}',
     colour text,
     note text NOT NULL DEFAULT '',
+    refers_to text NOT NULL DEFAULT 'mission',
     file_id uuid CONSTRAINT fk_mission_event_file_id_file REFERENCES file (id) ON DELETE SET NULL,
     recording_id uuid CONSTRAINT fk_mission_event_recording_id_recording
         REFERENCES recording (id) ON DELETE SET NULL,
@@ -37,7 +38,9 @@ CREATE TABLE mission_event (
     CONSTRAINT ck_mission_event_note_length CHECK (char_length(note) <= 10000),
     CONSTRAINT ck_mission_event_label_count CHECK (cardinality(labels) <= 20),
     CONSTRAINT ck_mission_event_topic_length CHECK (char_length(topic) BETWEEN 1 AND 1024),
-    CONSTRAINT ck_mission_event_one_reference CHECK (file_id IS NULL OR recording_id IS NULL)
+    CONSTRAINT ck_mission_event_refers_to CHECK (refers_to IN ('mission', 'file', 'recording')),
+    CONSTRAINT ck_mission_event_file CHECK (refers_to = 'file' OR file_id IS NULL),
+    CONSTRAINT ck_mission_event_recording CHECK (refers_to = 'recording' OR recording_id IS NULL)
 ) WITH (autovacuum_analyze_threshold = 0);
 CREATE INDEX ix_mission_event_mission_start ON mission_event (mission_id, start_ns, id);
 CREATE INDEX ix_mission_event_start_ns ON mission_event (start_ns, id);
