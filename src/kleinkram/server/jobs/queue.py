@@ -82,7 +82,8 @@ queue = App(connector=PsycopgConnector())
 # setting as its default; it is set first, because the function needs the rows that it joins.
 _DEFER = text(
     "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:queue AS varchar), CAST(:task AS varchar),"
-    " CAST(:priority AS integer), CAST(:lock AS text) || ref, NULL, jsonb_build_object('ref', ref), now() + CAST(:later AS interval))"
+    " CAST(:priority AS integer), CAST(:lock AS text) || ref, NULL, jsonb_build_object('ref', ref),"
+    " now() + CAST(:later AS interval))"
     "::procrastinate_job_to_defer_v1 ORDER BY number))"
     " FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, number)"
     " JOIN (SELECT set_config('kleinkram.job_origin', :origin, true) AS set) AS origin ON origin.set IS NOT NULL"
