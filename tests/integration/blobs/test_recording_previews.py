@@ -165,6 +165,9 @@ def test_recordings_of_earlier_versions_get_previews_in_time(
 ) -> None:
     files = [upload(api, mission_id, name, _unique(body, tmp_path)) for name in ("none.mcap", "old.mcap")]
     run_jobs(api)
+    key = _key(api, files[0]["id"])
+    assert key is not None
+    on_site(api, lambda site: site.storage.delete(key))
     api.sql("DELETE FROM recording_preview p USING file f WHERE f.blob_id = p.blob_id AND f.id = %s", files[0]["id"])
     api.sql(
         "UPDATE recording_preview p SET version = 0 FROM file f WHERE f.blob_id = p.blob_id AND f.id = %s",
