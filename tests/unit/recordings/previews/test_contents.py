@@ -14,9 +14,15 @@ import pytest
 from PIL import Image
 
 from kleinkram.recordings import Recording
-from kleinkram.recordings.previews import LogSeverity, PreviewLimits, RecordingPreview, make_preview, read_preview
+from kleinkram.recordings.previews import (
+    LogSeverity,
+    PreviewLimits,
+    RecordingPreview,
+    make_preview,
+    read_preview,
+    topic_readers,
+)
 from kleinkram.recordings.previews import builder as builder_module
-from kleinkram.recordings.previews import topic_readers
 from kleinkram.recordings.previews.thumbnails import thumbnail
 from tests.recording_files.builders import mcap_of
 from tests.recording_files.memory_source import MemorySource
