@@ -91,6 +91,7 @@ class TooCostly(RecordingError):
         )
         self.name = name
         self.size_bytes = size_bytes
+        self.why = why
 
 
 class NoSuchTopic(RecordingError):

@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 
 from kleinkram.recordings import model
 from kleinkram.recordings.decoding.types import ReadingExtraMissing
-from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
+from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed, TooCostly
 from kleinkram.recordings.formats.rosbag2 import metadata as rosbag2
 from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
 from kleinkram.recordings.limits import MAX_SCAN_BYTES, WINDOW
@@ -49,6 +49,8 @@ _SENTENCES = {
     FailureKind.crash: "reading it failed",
     FailureKind.source: "its bytes cannot be read",
 }
+# What Python writes, and the dynamic loader, where a library no longer fits.
+_OUT_OF_MEMORY = (b"MemoryError", b"failed to map segment")
 T = TypeVar("T")
 
 
@@ -90,11 +92,12 @@ class MetadataRequest:
 
 @dataclass(frozen=True)
 class PreviewRequest:
-    """Make the preview of the recording behind a URL that answers ranges. `name` is the file's own."""
+    """Make the preview of the recording behind a URL that answers ranges. `name`, `logs`: as of `UrlRequest`."""
 
     preview_url: str
     size_bytes: int
     name: str
+    logs: Mapping[str, tuple[str, int]] = field(default_factory=dict)
 
 
 SummaryRequest = FileRequest | UrlRequest
@@ -137,7 +140,7 @@ def _read_answer(key: str, parse: Callable[[Any], T], stdout: bytes, stderr: byt
     if returncode < 0:
         raise _failure(FailureKind.crash, f"the process was ended by signal {-returncode}", -returncode)
     if returncode != 0:
-        kind = FailureKind.memory if b"MemoryError" in stderr else FailureKind.crash
+        kind = FailureKind.memory if any(sign in stderr for sign in _OUT_OF_MEMORY) else FailureKind.crash
         lines = stderr.decode("utf-8", "replace").strip().splitlines()
         raise _failure(kind, lines[-1] if lines else f"exit code {returncode}")
     try:
@@ -258,6 +261,9 @@ def _answer(request: dict[str, Any]) -> dict[str, object]:
         return {"summary": to_dict(_summarise(request))}
     except SourceError as error:
         return {"failed": "source", "message": str(error)}
+    except TooCostly as error:
+        limit = f"all its {error.size_bytes:,} bytes must be read, and at most {request['max_bytes']:,} are"
+        return {"failed": "crash", "message": f"{error.why}; to make a preview, {limit}"}
     except RecordingError as error:  # a preview, of what cannot be opened
         return {"failed": "crash", "message": str(error)}
     except MemoryError:
@@ -281,29 +287,37 @@ def _summarise(request: dict[str, Any]) -> RecordingSummary:
 
         name = request["name"]
         source = HttpSource(request["url"], size_bytes=request["size_bytes"], name=name)
-        logs = {
-            suffix: HttpSource(url, size_bytes=size_bytes, name=f"{name}{suffix}")
-            for suffix, (url, size_bytes) in request["logs"].items()
-        }
-        if logs:
+        if logs := _logs(request):
             return scan_with_logs(source, logs)
     if request["depth"] == Depth.scan.value:
         return scan(SourceReader(source))
     return summarise(source, max_bytes=request["max_bytes"])
 
 
+def _logs(request: dict[str, Any]) -> dict[str, Source]:
+    from kleinkram.recordings.http_source import HttpSource  # only in the child
+
+    return {
+        suffix: HttpSource(url, size_bytes=size_bytes, name=f"{request['name']}{suffix}")
+        for suffix, (url, size_bytes) in request["logs"].items()
+    }
+
+
 def _make_preview(request: dict[str, Any]) -> bytes:
+    started_s = time.monotonic()
     from kleinkram.recordings.http_source import HttpSource  # only in the child
     from kleinkram.recordings.recording import Recording
 
     try:
-        from kleinkram.recordings.previews import make_preview
+        from kleinkram.recordings.previews import PreviewLimits, make_preview
     except ImportError as error:
         raise ReadingExtraMissing(error.name or "numpy") from None
 
     source = HttpSource(request["preview_url"], size_bytes=request["size_bytes"], name=request["name"])
-    with Recording.open(source, max_bytes=request["max_bytes"]) as recording:
-        return make_preview(recording)
+    with Recording.open([source, *_logs(request).values()], max_bytes=request["max_bytes"]) as recording:
+        # Half of what is left: pictures and numbers that were read must be encoded, and the answer be sent.
+        left_s = max(0.0, request["cpu_s"] - (time.monotonic() - started_s)) / 2
+        return make_preview(recording, PreviewLimits(cpu_s=left_s, wall_s=left_s))
 
 
 if __name__ == "__main__":

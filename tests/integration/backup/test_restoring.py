@@ -62,6 +62,25 @@ def test_every_row_and_every_byte_are_restored(populated: Api, instances: EmptyI
             database.rollback()
 
 
+def test_deleted_previews_stay_deleted_and_others_are_made_again(
+    populated: Api, instances: EmptyInstances, tmp_path: Path
+) -> None:
+    populated.sql(
+        "INSERT INTO recording_preview (blob_id, key, state, version, size_bytes)"
+        " SELECT id, 'previews/' || key, CASE WHEN row_number() OVER (ORDER BY id) = 1 THEN 'deleted' ELSE 'ready' END,"
+        " 1, 1 FROM blob"
+    )
+    try:
+        back_up(settings_of(populated), tmp_path)
+    finally:
+        populated.sql("DELETE FROM recording_preview")
+    with instances.empty() as target:
+        restore_to(target, tmp_path)
+        with psycopg.connect(plain_dsn(target.database_url)) as database:
+            previews = database.execute("SELECT state, key, store_id FROM recording_preview").fetchall()
+            assert previews == [("deleted", None, target.store_id)]
+
+
 def test_only_new_and_truncated_objects_are_copied(populated: Api, backed_up: Path) -> None:
     assert len(content_files(backed_up)) == 7  # a duplicate is the same object
     *_, largest = content_files(backed_up)

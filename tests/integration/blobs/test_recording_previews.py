@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import sqlite3
 import uuid
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.access import Right
-from kleinkram.recordings import Recording
+from kleinkram.recordings import FailureKind, Recording, SummaryFailed
 from kleinkram.recordings.previews import PREVIEW_VERSION, make_preview, read_preview
 from kleinkram.recordings.sample import SampleFormat, generate_file, generate_mcap
 from kleinkram.server.blobs import preview_jobs, recording_previews
@@ -163,6 +165,9 @@ def test_recordings_of_earlier_versions_get_previews_in_time(
 ) -> None:
     files = [upload(api, mission_id, name, _unique(body, tmp_path)) for name in ("none.mcap", "old.mcap")]
     run_jobs(api)
+    key = _key(api, files[0]["id"])
+    assert key is not None
+    on_site(api, lambda site: site.storage.delete(key))
     api.sql("DELETE FROM recording_preview p USING file f WHERE f.blob_id = p.blob_id AND f.id = %s", files[0]["id"])
     api.sql(
         "UPDATE recording_preview p SET version = 0 FROM file f WHERE f.blob_id = p.blob_id AND f.id = %s",
@@ -253,6 +258,154 @@ def test_readers_see_previews_and_owners_change_them(api: Api, mission_id: str, 
     guest = api.as_(people.share(api, mission_id).secret)
     assert fetch(guest.get(path).ok()["url"])[0] == 200
     guest.delete(path).refused(403, "scope_missing")
+
+
+def test_a_link_to_bytes_of_others_gives_no_right_to_their_preview(
+    api: Api, mission_id: str, tmp_path: Path, body: bytes
+) -> None:
+    theirs = _unique(body, tmp_path)
+    file = upload(api, mission_id, "run.mcap", theirs)
+    run_jobs(api)
+    project_id = api.get(f"/missions/{mission_id}").ok()["project"]["id"]
+    other = people.person(api)
+    people.grant(api, other, project_id=project_id, right=Right.read)
+    as_other = api.as_(people.token(api, other).secret)
+    (decision,) = begin(as_other, as_other.mission(as_other.project()["id"])["id"], {"copy.mcap": theirs})
+    path = f"/files/{decision['file']['id']}/preview"
+    assert as_other.get(path).ok()["state"] == "ready"
+    as_other.delete(path).refused(403, "forbidden")
+    assert _preview(api, file["id"])["state"] == "ready"
+    api.delete(f"/files/{file['id']}/preview").ok()
+    as_other.post(path).refused(403, "forbidden")
+    assert _preview(api, file["id"])["state"] == "deleted"
+    people.grant(api, other, project_id=project_id, right=Right.delete)
+    assert as_other.post(path).ok(202)["state"] == "making"
+    run_jobs(api)
+    assert _preview(api, file["id"])["state"] == "ready"
+
+
+def test_requests_to_make_previews_are_limited(start_api: Any, body: bytes) -> None:
+    api: Api = start_api(verifications_per_minute=2)
+    file = upload(api, api.mission(api.project()["id"])["id"], "run.mcap", body)
+    run_jobs(api)
+    path = f"/files/{file['id']}/preview"
+    for _ in range(2):
+        api.post(path).ok(202)
+    api.post(path).refused(429, "rate_limited")
+
+
+def test_garbage_collection_leaves_the_key_to_a_job_that_runs(
+    api: Api, mission_id: str, tmp_path: Path, body: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+    path, make, keys = f"/files/{file['id']}/preview", preview_jobs._make, list[str | None]()
+
+    async def make_after_deletion(*arguments: Any) -> bytes:
+        data = await make(*arguments)
+        if not keys:
+            await asyncio.to_thread(lambda: api.delete(path).ok())
+            await asyncio.to_thread(lambda: on_site(api, collect_garbage))
+            keys.append(await asyncio.to_thread(_key, api, file["id"]))
+            await asyncio.to_thread(lambda: api.post(path).ok(202))
+        return data
+
+    monkeypatch.setattr(preview_jobs, "_make", make_after_deletion)
+    run_jobs(api)
+    run_jobs(api)
+    assert keys[0] is not None
+    assert _preview(api, file["id"])["state"] == "ready"
+    key = _key(api, file["id"])
+    assert key is not None
+    assert _is_stored(api, key)
+    assert key == keys[0] or not _is_stored(api, keys[0])
+
+
+def test_a_request_after_a_running_job_recorded_its_result_is_not_lost(
+    api: Api, mission_id: str, tmp_path: Path, body: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+    record, keys = recording_previews.record_ready, list[str | None]()
+
+    async def record_and_request(*arguments: Any, **more: Any) -> bool:
+        is_recorded = await record(*arguments, **more)
+        if not keys:
+            db = arguments[0]
+            await recording_previews.make_again(db, arguments[1])
+            keys.append(more["key"])
+        return is_recorded
+
+    monkeypatch.setattr(recording_previews, "record_ready", record_and_request)
+    run_jobs(api)
+    run_jobs(api)
+    assert _preview(api, file["id"])["state"] == "ready"
+    assert _key(api, file["id"]) != keys[0]
+
+
+def test_a_temporary_failure_is_tried_once_more_after_a_day(
+    api: Api, mission_id: str, tmp_path: Path, body: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
+
+    async def take_too_long(*_: Any) -> bytes:
+        raise SummaryFailed("it takes too long", kind=FailureKind.time)
+
+    def collect_a_day_later() -> list[str]:
+        api.sql(
+            "UPDATE recording_preview p SET made_at = now() - interval '25 hours' FROM file f"
+            " WHERE f.blob_id = p.blob_id AND f.id = %s",
+            file["id"],
+        )
+        on_site(api, collect_garbage)
+        return run_jobs(api)
+
+    monkeypatch.setattr(preview_jobs, "_make", take_too_long)
+    run_jobs(api)
+    on_site(api, collect_garbage)
+    assert _JOB not in run_jobs(api), "not before a day has passed"
+    assert _preview(api, file["id"])["state"] == "failed"
+    assert _JOB in collect_a_day_later()
+    assert _JOB not in collect_a_day_later(), "it failed twice"
+    monkeypatch.undo()
+    api.post(f"/files/{file['id']}/preview").ok(202)
+    run_jobs(api)
+    assert _preview(api, file["id"])["state"] == "ready"
+
+
+def test_a_database_that_is_too_large_has_a_reason_for_people(
+    api: Api, mission_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(preview_jobs, "_MAX_SCAN_BYTES", 1_000_000)
+    truth = generate_file(tmp_path / "run.db3", kind=SampleFormat.db3, size_bytes=1_500_000, seed=5)
+    file = upload(api, mission_id, "run.db3", truth.path.read_bytes())
+    run_jobs(api)
+    read = _preview(api, file["id"])
+    assert read["state"] == "failed"
+    assert "at most 1,000,000 are" in read["reason"]
+    assert "max_bytes" not in read["reason"]
+
+
+def test_a_preview_of_a_database_has_what_is_in_the_log_beside_it(api: Api, mission_id: str, tmp_path: Path) -> None:
+    truth = generate_file(tmp_path / "run.db3", kind=SampleFormat.db3, size_bytes=1_500_000, seed=6)
+    path, log = truth.path, Path(f"{truth.path}-wal")
+    with contextlib.closing(sqlite3.connect(path)) as writer:
+        assert writer.execute("PRAGMA journal_mode=WAL").fetchone() == ("wal",)
+        writer.execute("PRAGMA wal_autocheckpoint=0")
+        writer.execute(
+            "INSERT INTO messages (topic_id, timestamp, data) SELECT topic_id, timestamp, data FROM messages"
+        )
+        writer.commit()
+        database, log_bytes = path.read_bytes(), log.read_bytes()
+    file = upload(api, mission_id, "run.db3", database)
+    run_jobs(api)
+    before = read_preview(fetch(_preview(api, file["id"])["url"])[1])
+    upload(api, mission_id, "run.db3-wal", log_bytes)
+    run_jobs(api)
+    after = read_preview(fetch(_preview(api, file["id"])["url"])[1])
+    counts = {series.topic: series.message_count for series in before.series}
+    assert counts
+    assert {series.topic: series.message_count for series in after.series} == {
+        topic: 2 * count for topic, count in counts.items()
+    }
 
 
 def test_a_scrub_counts_no_preview_as_unknown(api: Api, mission_id: str, tmp_path: Path, body: bytes) -> None:

@@ -6,6 +6,7 @@ Bounded whatever the recording: topics, fields, pictures and lines are counted, 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -33,7 +34,8 @@ MAX_BYTES, MIN_BYTES = 20 * 10**6, 256 * 10**3
 MAX_TOPICS, MAX_CAMERAS, MAX_CLOUD_TOPICS = 500, 16, 4
 MAX_SERIES = 1_000  # fields of all topics: each takes up to 64 kB
 MAX_LEFT_OUT = 100
-_FIRST_CHECK, _CHECK_BLOCKS = 1, 16
+# What a message that no reader expected may raise.
+_UNEXPECTED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 @dataclass(frozen=True)
@@ -44,11 +46,13 @@ class PreviewLimits:
         max_bytes: of its file; None: `preview_max_bytes` of the recording.
         whole_bytes: a larger recording is read in parts.
         cpu_s: processor time, in seconds, after which no more is read.
+        wall_s: time on the clock, in seconds, after which no more is read.
     """
 
     max_bytes: int | None = None
     whole_bytes: int = 4 * 2**30
     cpu_s: float = 240.0
+    wall_s: float = math.inf
 
 
 def preview_max_bytes(recording_bytes: int) -> int:
@@ -118,29 +122,48 @@ class _PreviewBuilder:
         """Read the messages; return the share of the recording that was read."""
         if not self._readers:
             return 1.0
-        until_s = time.process_time() + limits.cpu_s
+        until_cpu_s, until_s = time.process_time() + limits.cpu_s, time.monotonic() + limits.wall_s
         parts = _Parts(recording, frozenset(self._readers), limits)
         done_share = 0.0
         try:
-            for number, (block, done_share) in enumerate(parts.blocks()):
+            for block, done_share in parts.blocks():
                 self._add(block)
-                if number % _CHECK_BLOCKS == _FIRST_CHECK and time.process_time() > until_s:
+                if time.process_time() > until_cpu_s or time.monotonic() > until_s:
                     return done_share * parts.share
         except TooDisordered:
             return done_share * parts.share
         finally:
-            for reader in self._readers.values():
-                reader.finish()
+            for topic in list(self._readers):
+                self._finish(topic)
         return parts.share
 
     def _add(self, block: Block) -> None:
         readers = self._readers
         for topic, log_ns, _publish_ns, _sequence, data, channel in block:
-            readers[topic].add(log_ns, data, channel)
+            if topic in readers:
+                try:
+                    readers[topic].add(log_ns, data, channel)
+                except _UNEXPECTED as error:
+                    self._drop(topic, error)
         if block:
             first_ns, last_ns = block[0].log_time_ns, block[-1].log_time_ns
             self._start_ns = first_ns if self._start_ns is None else min(self._start_ns, first_ns)
             self._end_ns = last_ns if self._end_ns is None else max(self._end_ns, last_ns)
+
+    def _finish(self, topic: str) -> None:
+        try:
+            self._readers[topic].finish()
+        except _UNEXPECTED as error:
+            self._drop(topic, error)
+
+    def _drop(self, topic: str, error: Exception) -> None:
+        """Leave out a topic whose messages cannot be processed; the others stay."""
+        reader = self._readers.pop(topic)
+        self._numbers = [one for one in self._numbers if one is not reader]
+        self._cameras = [one for one in self._cameras if one is not reader]
+        self._clouds = [one for one in self._clouds if one is not reader]
+        if len(self._left_out) < MAX_LEFT_OUT:
+            self._left_out.append(LeftOutTopic(topic, f"its messages cannot be shown ({type(error).__name__})"))
 
     def preview(self, read_share: float) -> RecordingPreview:
         """Return what was collected."""

@@ -236,11 +236,15 @@ class _Parser:
             raise PreviewUnreadable("a section is outside the file")
         return self._sections[start : start + length]
 
+    def _take(self, size_bytes: int) -> None:
+        """Count bytes that are about to be allocated: entries may name the same section again and again."""
+        self._unpacked_left -= size_bytes
+        if size_bytes < 0 or self._unpacked_left < 0:
+            raise PreviewUnreadable("its sections are too large")
+
     def _unpack(self, entry: Mapping[str, Any]) -> bytes:
         unpacked = int(entry["unpacked"])
-        self._unpacked_left -= unpacked
-        if unpacked < 0 or self._unpacked_left < 0:
-            raise PreviewUnreadable("its sections are too large")
+        self._take(unpacked)
         return _unpacked(self._bytes(entry), unpacked)
 
     def _array(self, entry: Mapping[str, Any], *names: str) -> NDArray[Any]:
@@ -269,9 +273,7 @@ class _Parser:
         import numpy as np
 
         if "constant" in entry:
-            self._unpacked_left -= bins * 8
-            if self._unpacked_left < 0:
-                raise PreviewUnreadable("its sections are too large")
+            self._take(bins * 8)
             values = np.full(bins, float(entry["constant"]))
             return FieldSeries(str(entry["name"]), values, values)
         low = _of_length(self._array(entry["low"], "float64", "float32"), bins)
@@ -282,7 +284,8 @@ class _Parser:
         files, at, thumbnails = self._bytes(entry["files"]), 0, []
         for one in entry["thumbnails"]:
             size = int(one["size"])
-            if size < 0 or at + size > len(files):
+            self._take(size)
+            if at + size > len(files):
                 raise PreviewUnreadable("a thumbnail is outside its section")
             jpeg = bytes(files[at : at + size])
             thumbnails.append(Thumbnail(int(one["time_ns"]), int(one["width"]), int(one["height"]), jpeg))

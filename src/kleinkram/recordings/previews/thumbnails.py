@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ WIDTH, MAX_HEIGHT = 160, 160
 _QUALITY = 60
 _OVERSIZE = 2  # pictures are subsampled to this multiple of a thumbnail before they are filtered
 _BGR_ENCODINGS = ("8uc3", "8uc4")  # OpenCV's order
+_BAYER = re.compile(r"bayer_([rgb]{4})(?:8|16)\Z")
 _CHANNELS = {"r": 0, "g": 1, "b": 2}
 
 
@@ -34,8 +36,11 @@ def thumbnail(value: object, time_ns: int) -> Thumbnail:
     pixels = image(value)
     if not pixels.size:
         raise DecodeError(type_name(value), "the picture has no pixels")
-    encoding = str(part(value, "encoding") or "").lower()
-    pixels = _demosaiced(pixels, encoding[6:10]) if encoding.startswith("bayer_") else pixels
+    # Compressed pictures may name an encoding, too, but are decoded by their own format.
+    is_raw = part(value, "height") is not None
+    encoding = str(part(value, "encoding") or "").lower() if is_raw else ""
+    if (bayer := _BAYER.match(encoding)) is not None:
+        pixels = _demosaiced(pixels, bayer[1])
     step = max(1, pixels.shape[1] // (_OVERSIZE * WIDTH), pixels.shape[0] // (_OVERSIZE * MAX_HEIGHT))
     pixels = _eight_bit(pixels[::step, ::step])
     if encoding in _BGR_ENCODINGS:

@@ -15,7 +15,13 @@ from kleinkram.contract.access import GroupKind, Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, find_person, unexpired
 from kleinkram.server.access.builtin_groups import ADMINS_ID, own_group, own_project
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
-from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects
+from kleinkram.server.access.visible import (
+    joined_files,
+    level_on_mission,
+    level_on_project,
+    visible_missions,
+    visible_projects,
+)
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import (
@@ -23,6 +29,7 @@ from kleinkram.server.tables import (
     access_group,
     affiliation,
     affiliation_domain,
+    file,
     membership,
     mission,
     person,
@@ -98,6 +105,21 @@ async def require_mission(db: Connection, actor: Actor, operation: str, mission_
     """Check that the actor may perform an operation on a mission. Raises NotFound or Forbidden."""
     level: int | None = (await db.execute(_mission_level(actor, mission_id))).scalar_one_or_none()
     _require_level(level, operation, resource_type="mission", resource_id=mission_id)
+
+
+async def require_missions_of_blob(db: Connection, actor: Actor, operation: str, blob_id: uuid.UUID) -> None:
+    """Check that the actor may perform an operation on all missions with files of a blob, except those in the trash.
+
+    Raises Forbidden, which names none of the missions: the actor may not see them.
+    """
+    needed = OPERATIONS[operation].right or Right.read
+    permitted = visible_missions(actor, needed).with_only_columns(mission.c.id, maintain_column_froms=True)
+    live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
+    others = joined_files().with_only_columns(file.c.id, maintain_column_froms=True)
+    others = others.where(file.c.blob_id == blob_id, *live, mission.c.id.not_in(permitted))
+    if (await db.execute(others.limit(1))).first() is not None:
+        needs = f"{needed.value} on all missions with the same file"
+        raise errors.Forbidden(resource_type="file", operation=_phrase(operation), needs=needs)
 
 
 async def still_shares(db: Connection, guest: Actor) -> bool:

@@ -294,11 +294,12 @@ def _adjust_rows(
 ) -> None:
     """Reset what no longer holds: the objects are in another store, where nothing has been verified yet."""
     to, was = target.store_id, snapshot.store_id
-    for table in ("blob", "upload", "log_chunk"):
+    for table in ("blob", "upload", "log_chunk", "recording_preview"):
         _run(database, f"UPDATE {table} SET store_id = %s WHERE store_id = %s AND store_id <> %s", to, was, to)  # noqa: S608  (constants)
     database.execute("DELETE FROM store_probe")
-    # Their objects are in no backup: the worker makes previews again.
-    database.execute("DELETE FROM recording_preview")
+    # Their objects are in no backup: the worker makes previews again, except those that people deleted.
+    database.execute("DELETE FROM recording_preview WHERE state <> 'deleted'")
+    database.execute("UPDATE recording_preview SET key = NULL")
     # The parts of active uploads are in the old store: clients start these again, and their names are free.
     database.execute(
         "UPDATE upload SET state = 'expired', completing_since = NULL WHERE state IN ('open', 'completing')"

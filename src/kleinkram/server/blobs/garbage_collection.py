@@ -52,7 +52,7 @@ async def mark_unreferenced(db: Connection, *, limit: int) -> int:
     is_garbage = ~queries.is_referenced()
     candidates = (
         select(blob.c.id)
-        .where(blob.c.marked_for_deletion_at.is_(None), is_garbage, await _is_in_share(db))
+        .where(blob.c.marked_for_deletion_at.is_(None), is_garbage, await is_in_share(db))
         .order_by(blob.c.id)
         .limit(limit)
         .with_for_update(skip_locked=True)
@@ -64,7 +64,7 @@ async def mark_unreferenced(db: Connection, *, limit: int) -> int:
     return (await db.execute(mark)).rowcount
 
 
-async def _is_in_share(db: Connection) -> ColumnElement[bool]:
+async def is_in_share(db: Connection) -> ColumnElement[bool]:
     """Return the condition for this round's share of the blobs; ids are random, so all shares are equally large."""
     others = select(blob.c.id).order_by(blob.c.id).offset(_MAX_AT_ONCE).limit(1)
     if (await db.execute(others)).first() is None:

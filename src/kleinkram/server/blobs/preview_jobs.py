@@ -3,6 +3,7 @@
 It is independent of the verification: whatever fails here concerns the preview alone.
 """
 
+import signal
 import uuid
 
 from procrastinate import JobContext
@@ -31,6 +32,9 @@ _MAX_SCAN_BYTES = 2**30
 # Below the speed of the slowest format on any known machine; of a recording above 4 GiB, about as much is read.
 _BYTES_PER_S, _MAX_READ_BYTES = 5_000_000, 4 * 2**30
 
+# A busy machine, or a store that was away: tried once more after a day.
+_TEMPORARY = frozenset((FailureKind.time, FailureKind.memory, FailureKind.source))
+
 
 @queue.task(name=Job.make_recording_preview.value, retry=RETRY_STRATEGY, pass_context=True)
 async def make_recording_preview(job_context: JobContext, ref: str) -> None:
@@ -46,14 +50,17 @@ async def make_recording_preview(job_context: JobContext, ref: str) -> None:
         await context.storage.delete(before.key)
     key = f"previews/{blob_id}/{uuid.uuid4().hex[:12]}"
     async with context.database.begin() as db:
-        await recording_previews.record_begin(db, blob_id, key=key)
+        if not await recording_previews.record_begin(db, blob_id, key=key):
+            return
     try:
         data = await _make(context, worker_resource(job_context, "readers", ReaderProcesses), row)
     except SummaryFailed as failure:
         if failure.kind is FailureKind.source and job_context.job.attempts < ATTEMPTS - 1:
             raise  # the store failed, not the file: try again
         async with context.database.begin() as db:
-            await recording_previews.record_failure(db, blob_id, key=key, reason=str(failure))
+            await recording_previews.record_failure(
+                db, blob_id, key=key, reason=str(failure), temporary_failures=_temporary_failures(failure, before)
+            )
         return
     await context.storage.put_object(key, data)
     async with context.database.begin() as db:
@@ -72,12 +79,28 @@ def _is_due(context: AppContext, row: BlobRow, before: recording_previews.Record
     return before.state != RecordingPreviewState.deleted.value
 
 
+def _temporary_failures(failure: SummaryFailed, before: recording_previews.RecordingPreviewRow | None) -> int:
+    """Return the number of temporary failures in succession, this one included; 0 if this one would happen again."""
+    is_temporary = failure.kind in _TEMPORARY or failure.signal == signal.SIGKILL
+    return (before.temporary_failures if before is not None else 0) + 1 if is_temporary else 0
+
+
 async def _make(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> bytes:
     """Return the file of a preview, which the child may have falsified: only its size is checked."""
-    timeout_s = context.settings.summary_timeout_s + min(row.size_bytes, _MAX_READ_BYTES) // _BYTES_PER_S
-    url = context.storage.sign_internal_get(row.key, expires_s=timeout_s + 60)
+    async with context.database.begin() as db:
+        logs = await service.find_sqlite_logs(db, row.id)
+    size_bytes = row.size_bytes + sum(log.size_bytes for log in logs.values())
+    if logs and size_bytes > _MAX_SCAN_BYTES:
+        message = f"with its log it has {size_bytes:,} bytes, and at most {_MAX_SCAN_BYTES:,} are read"
+        raise SummaryFailed(message, kind=FailureKind.crash)
+    timeout_s = context.settings.summary_timeout_s + min(size_bytes, _MAX_READ_BYTES) // _BYTES_PER_S
+
+    def sign(key: str) -> str:
+        return context.storage.sign_internal_get(key, expires_s=timeout_s + 60)
+
+    log_sources = {suffix: (sign(log.key), log.size_bytes) for suffix, log in logs.items()}
     request = request_bytes(
-        PreviewRequest(url, row.size_bytes, file_name(row.path or "")),
+        PreviewRequest(sign(row.key), row.size_bytes, file_name(row.path or ""), log_sources),
         max_bytes=_MAX_SCAN_BYTES,
         memory_bytes=context.settings.summary_memory_bytes,
         timeout_s=round(timeout_s),

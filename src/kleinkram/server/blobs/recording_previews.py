@@ -5,7 +5,7 @@ A row names its object before it is written and until after it is deleted, so th
 
 import datetime
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from sqlalchemy import ColumnElement, exists, func, or_, select, text, update
@@ -13,9 +13,9 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.contract.recording_previews import RecordingPreviewState
-from kleinkram.server.blobs import queries, service
+from kleinkram.server.blobs import garbage_collection, queries, service
 from kleinkram.server.db import Connection, fit_text
-from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job, start_now
+from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job, start_now, with_waiting_job
 from kleinkram.server.tables import blob, file, recording_preview
 
 VERSION = 1
@@ -30,7 +30,7 @@ _COUNT_WAITING = text(
 
 
 class RecordingPreviewRow(NamedTuple):
-    """The preview of a blob."""
+    """The preview of a blob. `temporary_failures`: in succession, of causes that may be gone the next time."""
 
     key: str | None
     state: str
@@ -38,6 +38,7 @@ class RecordingPreviewRow(NamedTuple):
     size_bytes: int | None
     reason: str | None
     made_at: datetime.datetime
+    temporary_failures: int
 
 
 # -- queueing jobs ----------------------------------------------------------------------------------------------------
@@ -51,22 +52,26 @@ async def enqueue_new(db: Connection, blob_id: uuid.UUID) -> None:
 
 
 async def enqueue_missing(db: Connection, *, store_id: str, limit: int) -> None:
-    """Queue previews that are missing or of an earlier version, the newest recordings first.
+    """Queue previews that are missing or of an earlier version, or failed once for a temporary cause a day ago.
 
-    At most `limit` wait at a time.
+    The newest recordings of this round's share of the blobs come first. At most `limit` wait at a time.
     """
     room = limit - (await db.execute(_COUNT_WAITING)).scalar_one()
     if room <= 0:
         return
     is_verified = blob.c.state == BlobState.verified.value
-    due = select(blob.c.id).where(_is_due(), is_verified, blob.c.store_id == store_id)
+    in_share = await garbage_collection.is_in_share(db)
+    due = select(blob.c.id).where(_is_due(), is_verified, blob.c.store_id == store_id, in_share)
     ids = [str(one) for one in (await db.execute(due.order_by(blob.c.created_at.desc()).limit(room))).scalars()]
     await enqueue(db, Job.make_recording_preview, ids=ids, priority=Priority.low)
 
 
 def _is_due() -> ColumnElement[bool]:
     made = recording_preview.c.state != RecordingPreviewState.making.value
-    is_done = (recording_preview.c.version >= VERSION) & made
+    failed = recording_preview.c.state == RecordingPreviewState.failed.value
+    a_day_ago = recording_preview.c.made_at < func.now() - text("interval '1 day'")
+    may_succeed = failed & (recording_preview.c.temporary_failures == 1) & a_day_ago
+    is_done = (recording_preview.c.version >= VERSION) & made & ~may_succeed
     is_deleted = recording_preview.c.state == RecordingPreviewState.deleted.value
     has_preview = exists().where(recording_preview.c.blob_id == blob.c.id, or_(is_done, is_deleted))
     return (
@@ -80,11 +85,18 @@ def _is_due() -> ColumnElement[bool]:
 
 
 async def make_again(db: Connection, blob_id: uuid.UUID) -> None:
-    """Queue the preview of a blob ahead of others, also if it was deleted or has failed."""
+    """Queue the preview of a blob ahead of others, also if it was deleted or has failed.
+
+    A job that runs satisfies the request only if its result is still to be recorded: later, it would be lost.
+    """
+    # Locked before jobs are looked at, so that one that runs cannot record its result in between.
+    state = select(recording_preview.c.state).where(recording_preview.c.blob_id == blob_id).with_for_update()
+    is_making = (await db.execute(state)).scalar_one_or_none() == RecordingPreviewState.making.value
     values = {"state": RecordingPreviewState.making.value, "version": VERSION, "reason": None}
-    await _write(db, blob_id, values)
+    await _write(db, blob_id, {**values, "temporary_failures": 0})
     queued = select(blob.c.id).where(blob.c.id == blob_id, has_job(Job.make_recording_preview, blob.c.id))
-    if (await db.execute(queued)).first() is not None:
+    is_queued = is_making and (await db.execute(queued)).first() is not None
+    if is_queued or await with_waiting_job(db, Job.make_recording_preview, [str(blob_id)]):
         await start_now(db, Job.make_recording_preview, blob_id)
         return
     await enqueue(db, Job.make_recording_preview, ids=[str(blob_id)], priority=Priority.high)
@@ -100,24 +112,27 @@ async def find_preview(db: Connection, blob_id: uuid.UUID) -> RecordingPreviewRo
     return None if row is None else RecordingPreviewRow._make(row)
 
 
-async def record_begin(db: Connection, blob_id: uuid.UUID, *, key: str) -> None:
-    """Record that the preview of a blob is being made, and the key of its object."""
+async def record_begin(db: Connection, blob_id: uuid.UUID, *, key: str) -> bool:
+    """Record that the preview of a blob is being made, and the key of its object; False if it was deleted."""
     values = {"state": RecordingPreviewState.making.value, "key": key, "version": VERSION, "size_bytes": None}
-    await _write(db, blob_id, values)
+    is_alive = recording_preview.c.state != RecordingPreviewState.deleted.value
+    return await _write(db, blob_id, values, where=is_alive)
 
 
 async def record_ready(db: Connection, blob_id: uuid.UUID, *, key: str, size_bytes: int) -> bool:
     """Record that the object is written; False if another job has begun since, or the preview or blob is deleted."""
     values = {"state": RecordingPreviewState.ready.value, "size_bytes": size_bytes, "reason": None}
+    values["temporary_failures"] = 0
     is_recorded = await _end(db, blob_id, key, values)
     if is_recorded:
         await service.publish_file_changes(db, [blob_id])
     return is_recorded
 
 
-async def record_failure(db: Connection, blob_id: uuid.UUID, *, key: str, reason: str) -> None:
+async def record_failure(db: Connection, blob_id: uuid.UUID, *, key: str, reason: str, temporary_failures: int) -> None:
     """Record why no preview could be made."""
-    await _end(db, blob_id, key, {"state": RecordingPreviewState.failed.value, "reason": fit_text(reason)})
+    values = {"state": RecordingPreviewState.failed.value, "reason": fit_text(reason)}
+    await _end(db, blob_id, key, {**values, "temporary_failures": temporary_failures})
 
 
 async def _end(db: Connection, blob_id: uuid.UUID, key: str, values: dict[str, object]) -> bool:
@@ -135,22 +150,30 @@ async def mark_deleted(db: Connection, blob_id: uuid.UUID) -> None:
     await service.publish_file_changes(db, [blob_id])
 
 
-async def _write(db: Connection, blob_id: uuid.UUID, values: dict[str, object]) -> None:
+async def _write(
+    db: Connection, blob_id: uuid.UUID, values: Mapping[str, object], *, where: ColumnElement[bool] | None = None
+) -> bool:
+    """Insert or, under a condition, update a row; return whether that was done."""
     store_id = select(blob.c.store_id).where(blob.c.id == blob_id).scalar_subquery()
     row = upsert(recording_preview).values(blob_id=blob_id, store_id=store_id, **values)
-    await db.execute(row.on_conflict_do_update(index_elements=["blob_id"], set_=values))
+    row = row.on_conflict_do_update(index_elements=["blob_id"], set_=values, where=where)
+    return (await db.execute(row.returning(recording_preview.c.blob_id))).first() is not None
 
 
 # -- deletion of objects ----------------------------------------------------------------------------------------------
 
 
 async def keys_to_delete(db: Connection, *, store_id: str, limit: int) -> Sequence[str]:
-    """Return the keys of objects of previews that were deleted, or that failed."""
+    """Return the keys of objects of previews that were deleted, or that failed.
+
+    While a job runs, it may still write its object, and needs the key to record that.
+    """
     ended = [RecordingPreviewState.deleted.value, RecordingPreviewState.failed.value]
     statement = select(recording_preview.c.key).where(
         recording_preview.c.store_id == store_id,
         recording_preview.c.state.in_(ended),
         recording_preview.c.key.is_not(None),
+        ~has_job(Job.make_recording_preview, recording_preview.c.blob_id),
     )
     return (await db.execute(statement.limit(limit))).scalars().all()
 

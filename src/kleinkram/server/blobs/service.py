@@ -23,7 +23,7 @@ from kleinkram.server.db import Connection, among, fit_text, unnest_rows
 from kleinkram.server.jobs.queue import Job, Priority, delete_waiting, enqueue, has_job, start_now, waiting_ids
 from kleinkram.server.missions.service import lock_missions
 from kleinkram.server.recordings.derive import derive_again
-from kleinkram.server.tables import blob, file, mission, topic
+from kleinkram.server.tables import blob, file, mission, recording_preview, topic
 
 _MAX_BIGINT = 2**63 - 1
 _TOMORROW = datetime.timedelta(days=1)
@@ -40,7 +40,9 @@ async def enqueue_reading(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None
 
     A database whose log is new is read again, together with the log.
     """
-    databases = (await db.execute(queries.databases_with_logs(blob_ids))).scalars()
+    databases = (await db.execute(queries.databases_with_logs(blob_ids))).scalars().all()
+    # Their previews lack what is in the logs: as of an earlier version, they are made again after the summary.
+    await db.execute(update(recording_preview).where(among(recording_preview.c.blob_id, databases)).values(version=0))
     blob_ids = [*dict.fromkeys([*blob_ids, *databases])]
     are_small = select(blob.c.id).where(among(blob.c.id, blob_ids), queries.is_small())
     small_ids = set((await db.execute(are_small)).scalars())

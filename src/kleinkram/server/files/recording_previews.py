@@ -1,4 +1,8 @@
-"""Previews of recordings, by file: read, made again, deleted. Whoever may read the file may read its preview."""
+"""Previews of recordings, by file: read, made again, deleted.
+
+Whoever may read the file may read its preview. All files with the same bytes share it, so a change requires the right
+on the missions of all of them: a link to somebody else's bytes takes no more than READ.
+"""
 
 import datetime
 import uuid
@@ -6,7 +10,7 @@ import uuid
 from kleinkram.contract.errors import FieldProblem, InvalidRequest
 from kleinkram.contract.recording_previews import RecordingPreviewRead, RecordingPreviewState
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import require_mission
+from kleinkram.server.access.rights import require_mission, require_missions_of_blob
 from kleinkram.server.audit.log import audit
 from kleinkram.server.blobs import recording_previews as previews
 from kleinkram.server.context import AppContext
@@ -41,7 +45,7 @@ async def make_preview_again(db: Connection, actor: Actor, *, file_id: uuid.UUID
 
     Raises:
         NotFound: the file does not exist, or is not visible.
-        Forbidden: the actor may not.
+        Forbidden: the actor may not, in this mission or in another one with the same file.
         InvalidRequest: the file is no recording that can be read.
     """
     stored = await _require(db, actor, "make_recording_preview", file_id)
@@ -64,6 +68,7 @@ async def delete_preview(db: Connection, actor: Actor, *, file_id: uuid.UUID) ->
 async def _require(db: Connection, actor: Actor, operation: str, file_id: uuid.UUID) -> FileWithBlob:
     stored = await stored_file(db, actor, file_id)
     await require_mission(db, actor, operation, stored.read.mission.id)
+    await require_missions_of_blob(db, actor, operation, stored.blob_id)
     return stored
 
 

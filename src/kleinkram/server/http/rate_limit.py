@@ -53,6 +53,7 @@ _OPERATION_KINDS = {
     "get_recording_preview": "downloads",
     "begin_uploads": "uploads",
     "verify_file": "verifications",
+    "make_recording_preview": "verifications",
     "export_audit_events": "exports",
     "export_person": "exports",
 }

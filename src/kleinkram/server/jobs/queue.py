@@ -55,6 +55,8 @@ _QUEUES = {
     Job.derive_recordings: DERIVATION,
     Job.make_recording_preview: PREVIEWS,
 }
+# Of these, one job for the same id runs at a time: two would replace each other's objects.
+_ONE_AT_A_TIME = frozenset((Job.make_recording_preview,))
 
 _DELETE_FAILED = text(
     "DELETE FROM procrastinate_jobs j WHERE j.status IN ('failed', 'cancelled', 'aborted') AND NOT EXISTS"
@@ -80,7 +82,8 @@ queue = App(connector=PsycopgConnector())
 # setting as its default; it is set first, because the function needs the rows that it joins.
 _DEFER = text(
     "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:queue AS varchar), CAST(:task AS varchar),"
-    " CAST(:priority AS integer), NULL, NULL, jsonb_build_object('ref', ref), now() + CAST(:later AS interval))"
+    " CAST(:priority AS integer), CAST(:lock AS text) || ref, NULL, jsonb_build_object('ref', ref),"
+    " now() + CAST(:later AS interval))"
     "::procrastinate_job_to_defer_v1 ORDER BY number))"
     " FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, number)"
     " JOIN (SELECT set_config('kleinkram.job_origin', :origin, true) AS set) AS origin ON origin.set IS NOT NULL"
@@ -102,7 +105,8 @@ async def enqueue(
     """Enqueue a job for each id, in order, in the caller's transaction; with `later`, to start after that time."""
     if ids:
         parameters = {"queue": _QUEUES.get(job, DEFAULT), "task": job.value, "priority": int(priority), "ids": [*ids]}
-        await db.execute(_DEFER, {**parameters, "later": later, "origin": origin_here()})
+        lock = f"{job.value} " if job in _ONE_AT_A_TIME else None
+        await db.execute(_DEFER, {**parameters, "lock": lock, "later": later, "origin": origin_here()})
 
 
 async def raise_priority(db: Connection, job: Job, ref: uuid.UUID) -> None:

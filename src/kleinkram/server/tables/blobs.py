@@ -123,6 +123,8 @@ recording_preview = sa.Table(
     sa.Column("version", sa.Integer, nullable=False),
     sa.Column("size_bytes", sa.BigInteger),
     sa.Column("reason", sa.Text),
+    # In succession, for want of time, memory or the store: after the first one, it is made once more.
+    sa.Column("temporary_failures", sa.Integer, nullable=False, server_default="0"),
     sa.Column("made_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
     sa.UniqueConstraint("store_id", "key"),
     sa.CheckConstraint("state IN ('making', 'ready', 'failed', 'deleted')", name="state"),

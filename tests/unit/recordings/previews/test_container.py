@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from kleinkram.recordings.previews import (
     Thumbnail,
     TopicSeries,
     TrackKind,
+    container,
     preview_max_bytes,
     read_preview,
 )
@@ -126,6 +127,17 @@ def test_damaged_files_have_a_named_error() -> None:
         except PreviewUnreadable:
             unreadable += 1
     assert unreadable > 100
+
+
+def test_pictures_that_share_bytes_have_a_bound_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = encode(_preview())
+    monkeypatch.setattr(container, "_MAX_UNPACKED_BYTES", 10**9)
+    strip = read_preview(data).cameras[0]
+    # Cameras may all name the same section: a small file would become large.
+    many = replace(_preview(), series=(), clouds=(), tracks=(), log_lines=(), cameras=(strip,) * 3)
+    monkeypatch.setattr(container, "_MAX_UNPACKED_BYTES", 2 * sum(len(one.jpeg) for one in strip.thumbnails))
+    with pytest.raises(PreviewUnreadable, match="too large"):
+        read_preview(encode(many))
 
 
 @pytest.mark.parametrize("data", [b"", b"KLPREV1\n", b"KLPREV1\n" + b"\xff" * 8, b"\x89MCAP0\r\n" + bytes(20)])

@@ -14,8 +14,16 @@ import pytest
 from PIL import Image
 
 from kleinkram.recordings import Recording
-from kleinkram.recordings.previews import LogSeverity, PreviewLimits, RecordingPreview, make_preview, read_preview
+from kleinkram.recordings.previews import (
+    LogSeverity,
+    PreviewLimits,
+    RecordingPreview,
+    make_preview,
+    read_preview,
+    topic_readers,
+)
 from kleinkram.recordings.previews import builder as builder_module
+from kleinkram.recordings.previews.thumbnails import thumbnail
 from tests.recording_files.builders import mcap_of
 from tests.recording_files.memory_source import MemorySource
 from tests.recording_files.ros_messages import SECOND, T0, TimedMessage, ros1_bag, ros2_mcap
@@ -184,6 +192,27 @@ def test_pictures_that_cannot_be_decoded_leave_the_rest(message: TimedMessage) -
     assert all(picture.width for strip in preview.cameras for picture in strip.thumbnails)
 
 
+@pytest.mark.parametrize("encoding", ["bayer_rggb8", "bayer_none8", "8UC3"])
+def test_the_encoding_that_a_compressed_picture_names_changes_nothing(encoding: str) -> None:
+    out = io.BytesIO()
+    Image.new("RGB", (100, 100), (200, 100, 0)).save(out, "PNG")
+    value = {"encoding": encoding, "format": "png", "data": out.getvalue()}
+    with Image.open(io.BytesIO(thumbnail(value, T0).jpeg)) as opened:
+        np.testing.assert_allclose(np.asarray(opened)[20, 20], (200, 100, 0), atol=12)
+
+
+@pytest.mark.parametrize("method", ["add", "finish"])
+def test_a_topic_that_fails_leaves_the_others(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise KeyError("unexpected")
+
+    monkeypatch.setattr(topic_readers.CameraReader, method, fail)
+    preview = preview_of(ros2_mcap([image_of("mono8", bytes(100), 10, 10, 10), imu(1, 3.0)]))
+    assert values_by_field(preview, "/imu")["linear_acceleration.x"] == [3]
+    assert not preview.cameras
+    assert [(one.topic, "KeyError" in one.reason) for one in preview.left_out] == [("/camera", True)]
+
+
 def cloud(points: np.ndarray[Any, Any], *, point_step: int = 12, width: int | None = None) -> TimedMessage:
     fields = [{"name": axis, "offset": 4 * n, "datatype": 7, "count": 1} for n, axis in enumerate("xyz")]
     values = {
@@ -292,8 +321,9 @@ def test_a_large_recording_is_read_in_parts_that_are_spread_over_it() -> None:
     assert min(low) < 100
 
 
-def test_reading_ends_after_the_processor_time_that_is_allowed() -> None:
+@pytest.mark.parametrize("limits", [PreviewLimits(cpu_s=0), PreviewLimits(wall_s=0)])
+def test_reading_ends_after_the_time_that_is_allowed(limits: PreviewLimits) -> None:
     source = ros2_mcap([imu(number, number) for number in range(5000)], chunk_bytes=5_000)
-    preview = preview_of(source, PreviewLimits(cpu_s=0))
+    preview = preview_of(source, limits)
     assert 0 < preview.read_share < 0.1
     assert 0 < preview.series[0].message_count < 5000

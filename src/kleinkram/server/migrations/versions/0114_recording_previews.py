@@ -21,6 +21,7 @@ CREATE TABLE recording_preview (
     version integer NOT NULL,
     size_bytes bigint,
     reason text,
+    temporary_failures integer DEFAULT 0 NOT NULL,
     made_at timestamptz DEFAULT now() NOT NULL,
     CONSTRAINT uq_recording_preview_store_id_key UNIQUE (store_id, key),
     CONSTRAINT ck_recording_preview_ready CHECK (state <> 'ready' OR (key IS NOT NULL AND size_bytes IS NOT NULL))
