@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import contextlib
 import sqlite3
 import uuid
@@ -24,6 +25,7 @@ from tests.integration.jobs import on_site, run_jobs
 from tests.integration.upload_client import begin, fetch, upload
 
 _JOB = "make_recording_preview"
+_SEEDS = itertools.count(1_000)
 
 
 @pytest.fixture(name="api", scope="module")
@@ -43,7 +45,7 @@ def _body(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def _unique(body: bytes, tmp_path: Path) -> bytes:
     """Return a recording that no other test uploads."""
     path = tmp_path / f"{uuid.uuid4().hex}.mcap"
-    generate_mcap(path, size_bytes=400_000, seed=uuid.uuid4().int % 2**31)
+    generate_mcap(path, size_bytes=400_000, seed=next(_SEEDS))
     return path.read_bytes()
 
 
