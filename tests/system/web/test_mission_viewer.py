@@ -68,9 +68,8 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
     )
 
     assert [results[name] for name in ("consoleErrors", "axe", "overflowing", "executed")] == [[], [], [], []]
-    first_row = [f"Image: {_CAMERA}", "3D: /lidar/points"]
-    others = [f"Plot: {_IMU}", f"Raw messages: {_IMU}", "Log: /log"]
-    assert results["defaults"] == [*first_row, *others]
+    narrow = [f"Image: {_CAMERA}", "Map: /gps/fix", "3D: /lidar/points", f"Raw messages: {_IMU}"]
+    assert results["defaults"] == [*narrow, f"Plot: {_IMU}", "Log: /log"]
     _assert_formats(results["later"], paths, later_ns)
     imu_count = next(topic.count for topic in mcap.topics if topic.name == _IMU)
     assert int(results["later"]["plot"]["messages"]) < imu_count, "a plot reads part of a large recording"
