@@ -125,9 +125,16 @@ await other.close();
 // A plot of two topics: a click sets the time; a field is added in the panel.
 await goTo(["twoTopics"], laterNs);
 results.twoTopics = await plotOf(0);
-const canvas = await panel(0).locator(".u-over").boundingBox();
-await page.mouse.click(canvas.x + canvas.width / 2, canvas.y + canvas.height / 2);
-results.clicked = await timeOf();
+const middle = (BigInt(results.home) + BigInt(results.end)) / 2n;
+// While curves come, the plot is made anew, and a click may meet none.
+for (let number = 0; number < 20; number += 1) {
+  const canvas = await panel(0).locator(".u-over").boundingBox();
+  await page.mouse.click(canvas.x + canvas.width / 2, canvas.y + canvas.height / 2);
+  await page.waitForTimeout(250);
+  results.clicked = await timeOf();
+  const distance = BigInt(results.clicked) - middle;
+  if (distance < 50_000_000n && distance > -50_000_000n) break;
+}
 await panel(0).getByRole("button", { name: "Fields" }).click();
 await panel(0).locator("[data-series='/imu/data'] summary", { hasText: /^angular_velocity$/ }).click();
 await panel(0).locator("[data-field='angular_velocity.x']").click();
