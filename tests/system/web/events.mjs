@@ -84,14 +84,18 @@ await page.bringToFront();
 const box = await strip.boundingBox();
 await page.mouse.move(box.x + box.width * 0.6, box.y + 4);
 results.hint = await strip.locator(".hint").innerText();
+const moved = async (before) => {
+  await page.waitForFunction((time) => document.querySelector("[data-transport]").dataset.time !== time, before);
+  return headTime(page);
+};
+const beforeClick = await headTime(page);
 await page.mouse.click(box.x + box.width * 0.6, box.y + 4);
-results.clicked = await headTime(page);
+results.clicked = await moved(beforeClick);
 await page.locator("main h1").click();
 await page.keyboard.press("M");
-results.previous = await headTime(page);
+results.previous = await moved(results.clicked);
 await row(page, "trot").locator("[data-row-link]").click();
-await page.waitForFunction((before) => document.querySelector("[data-transport]").dataset.time !== before, results.previous);
-results.byRow = await headTime(page);
+results.byRow = await moved(results.previous);
 
 // A finding becomes an event, once.
 await page.locator("[data-timed-findings]").getByRole("button").first().click();
