@@ -105,10 +105,15 @@ async def collect_garbage(context: AppContext) -> None:
         async with context.database.begin() as db:
             await recording_previews.record_deleted_object(db, key)
     for row in objects:
-        for key in filter(None, (row.preview_key, row.key)):
-            await context.storage.delete(key)
-        async with context.database.begin() as db:
-            await garbage_collection.delete_row(db, row.id)
+        await _delete_object(context, row)
+
+
+async def _delete_object(context: AppContext, row: garbage_collection.ObjectToDelete) -> None:
+    if row.preview_key is not None:
+        await context.storage.delete(row.preview_key)
+    await context.storage.delete(row.key)
+    async with context.database.begin() as db:
+        await garbage_collection.delete_row(db, row.id)
 
 
 @queue.periodic(cron="17 3 * * *")

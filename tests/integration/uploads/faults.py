@@ -12,7 +12,7 @@ from typing import Any, cast
 
 from kleinkram.server.blobs import queries, scrub, service
 from kleinkram.server.blobs.readers import ObjectChecksums
-from kleinkram.server.maintenance import collect_garbage
+from kleinkram.server.maintenance import _delete_object
 from kleinkram.server.uploads import completion, jobs, parts
 from kleinkram.server.uploads import queries as upload_queries
 from kleinkram.server.uploads import service as upload_service
@@ -161,7 +161,7 @@ FAULTS = [
     ),
     Fault(
         "garbage collection leaves the object",
-        collect_garbage,
+        _delete_object,
         _THE_OBJECT_GOES,
         "pass\n",
         "every_object_is_known",
