@@ -232,7 +232,7 @@ class SimulatedCluster:
         uploads.complete(finishes)
 
     def _send_heartbeats(self) -> None:
-        while not self._is_over.wait(HEARTBEAT_S):
+        while not self._is_over.wait(max(HEARTBEAT_S, report_pause_s(len(self._active)))):
             with self._lock:
                 heartbeats = [job.heartbeat() for job in self._active.values()]
             if heartbeats:

@@ -24,7 +24,8 @@ from kleinkram.contract.uploads import Crc64, Sha256, UploadFile
 LEASE_S = 60
 # The longest: jobs of a cluster go on while its login node is restarted.
 MAX_LEASE_S = 3600
-# The interval of heartbeats, and so the delay with which a runner learns of a cancellation.
+# The interval of heartbeats, and so the delay with which a runner learns of a cancellation. With hundreds of runs, it
+# is up to twice as long.
 HEARTBEAT_S = 2.0
 MAX_WAIT_S = 25
 # The most runs that one claim assigns.

@@ -335,7 +335,8 @@ class Runner:
         runners = Runners(self._heartbeat_api)
         backoff = None
         while not self._is_closed.is_set():
-            self._has_changes.wait(HEARTBEAT_S)
+            pause_s = max(_HEARTBEAT_PAUSE_S, report_pause_s(self.active_count))
+            self._has_changes.wait(max(0.0, HEARTBEAT_S - pause_s))
             self._has_changes.clear()
             self._progress_s["heartbeats"] = time.monotonic()
             try:
@@ -350,7 +351,7 @@ class Runner:
                     _log.warning(words, len(self._active), error, exc_info=None if is_expected else error)
                 backoff = backoff or Backoff(math.inf, self._is_closed.wait)
                 backoff.pause()
-            self._is_closed.wait(max(_HEARTBEAT_PAUSE_S, report_pause_s(self.active_count)))
+            self._is_closed.wait(pause_s)
 
     def _send_heartbeat(self, runners: Runners) -> None:
         active = {run.assignment.run_id: run for run in self._active_runs()}

@@ -37,7 +37,7 @@ _MAX_SAMPLES = 5000
 
 def report_pause_s(runs: int) -> float:
     """Return how long news of one of so many runs wait for those of others, to be one request, in seconds."""
-    return min(2.0, runs / 100)
+    return min(4.0, runs / 100)
 
 
 def split_heartbeats(heartbeats: Sequence[Heartbeat]) -> Iterator[list[Heartbeat]]:

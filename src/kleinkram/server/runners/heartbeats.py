@@ -1,6 +1,6 @@
 """Heartbeats: a runner reports the states of its runs, which renews their leases.
 
-A few statements for any number of runs: a cluster sends 500 every two seconds. Of most, nothing is new; their rows are
+A few statements for any number of runs: a cluster sends 500 every four seconds. Of most, nothing is new; their rows are
 only read, and a long lease is not renewed before a part of it is over.
 """
 
