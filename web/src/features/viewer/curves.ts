@@ -28,6 +28,8 @@ export interface Segment extends FilePart {
 export interface SeriesState {
   readonly fields: readonly string[];
   readonly segments: readonly Segment[];
+  /** Curves of the previews, in the parts that were not read. */
+  readonly rough: readonly Segment[];
   readonly unread: readonly Span[];
   readonly wholeBytes: number;
   readonly isReading: boolean;
@@ -74,6 +76,12 @@ export function partAround(unread: readonly Span[], timeNs: bigint): Span | null
   const fromNs = timeNs - AROUND_BEFORE_NS > part.fromNs ? timeNs - AROUND_BEFORE_NS : part.fromNs;
   const toNs = timeNs + AROUND_AFTER_NS < part.toNs ? timeNs + AROUND_AFTER_NS : part.toNs;
   return { fromNs, toNs };
+}
+
+/** Returns what of unread parts lies in a span. */
+export function partsWithin(unread: readonly Span[], { fromNs, toNs }: Span): Span[] {
+  const parts = unread.map((part) => ({ fromNs: part.fromNs > fromNs ? part.fromNs : fromNs, toNs: part.toNs < toNs ? part.toNs : toNs }));
+  return parts.filter((part) => part.fromNs <= part.toNs);
 }
 
 export interface Aligned {

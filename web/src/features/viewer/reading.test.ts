@@ -1,7 +1,8 @@
 import { flushPromises, mount } from "@vue/test-utils";
-import { expect, it } from "vitest";
+import { expect, it, vi } from "vitest";
 import { effectScope, nextTick, ref } from "vue";
 import { useClock } from "./clock";
+import { Previews } from "./previews";
 import { Sources, type FileReader } from "./sources";
 import { useCurves } from "./useCurves";
 import { useMessages } from "./useMessages";
@@ -9,6 +10,7 @@ import { useParts } from "./useParts";
 import { viewerKey, type Viewer } from "./viewer";
 import { ReadFailure } from "@/recordings/failures";
 import type { MessagesRequest } from "@/recordings/products/products";
+import type { PreviewFile } from "@/recordings/preview_file";
 import type { CurvesRequest } from "@/recordings/protocol";
 
 const SECOND = 1_000_000_000n;
@@ -21,10 +23,12 @@ interface Made {
   readonly stepNs: bigint;
   /** How much of the time one request for curves reads. */
   readonly curvesNs?: bigint;
+  readonly sizeBytes?: number;
+  readonly preview?: Partial<PreviewFile>;
 }
 
 /** A viewer of one file with a message in every step of time. */
-function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND }: Made) {
+function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, preview }: Made) {
   const requests: { readonly fromNs: bigint; readonly toNs: bigint }[] = [];
   const note = (request: { fromNs: bigint; toNs: bigint }): void => {
     if (requests.push({ fromNs: request.fromNs, toNs: request.toNs }) > MOST_REQUESTS) throw new ReadFailure("too_large");
@@ -50,11 +54,12 @@ function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND }: Made) {
     },
     close: () => undefined,
   } as unknown as FileReader;
-  const file = { id: "f", path: "f.mcap", format: "mcap", size_bytes: 1, span: SPAN } as const;
+  const file = { id: "f", path: "f.mcap", format: "mcap", size_bytes: sizeBytes, span: SPAN } as const;
   const sources = new Sources([{ key: "k", name: "", files: [file] }], () => reader);
   const clock = effectScope().run(() => useClock(SPAN, [SPAN], startNs));
   if (clock === undefined) throw new Error("no clock");
-  const viewer: Viewer = { clock, sources, topics: [], selected: ref(0) };
+  const previews = new Previews(() => Promise.resolve((preview ?? null) as PreviewFile | null));
+  const viewer: Viewer = { clock, sources, previews, topics: [], selected: ref(0) };
   /** Runs a composable in the viewer. */
   function using<Result>(setup: () => Result): Result {
     const results: Result[] = [];
@@ -91,7 +96,7 @@ it("reads on from the nearest time where even that has too many messages", async
 
 it("reads around the play head although it does not move, and on until it is covered", async () => {
   const { using, requests } = viewerAt(300n * SECOND, { stepNs: SECOND });
-  const { unread, failure } = using(() => useCurves(() => series, () => 0));
+  const { unread, failure } = using(() => useCurves(() => series, () => 0, () => null));
   await settled();
   expect(failure.value).toBeNull();
   expect(requests[0]?.fromNs).toBe(0n);
@@ -103,10 +108,52 @@ it("reads around the play head although it does not move, and on until it is cov
 it.each(["curves", "parts"] as const)("reads where the play head went while something was read: %s", async (kind) => {
   const { using, requests, clock } = viewerAt(0n, { stepNs: 1_000_000n });
   const gathering = { product: "plain", empty: 0, add: (count: number) => count } as const;
-  const { unread } = using(() => (kind === "curves" ? useCurves(() => series, () => 0) : useParts(() => series, gathering, () => 0)));
+  const { unread } = using(() => (kind === "curves" ? useCurves(() => series, () => 0, () => null) : useParts(() => series, gathering, () => 0)));
   while (requests.length === 0) await Promise.resolve();
   clock.seek(400n * SECOND);
   await settled();
   expect(unread.value.some(({ fromNs, toNs }) => fromNs <= 400n * SECOND && toNs >= 400n * SECOND)).toBe(false);
   expect(requests.length).toBeLessThan(10);
+});
+
+const MINUTES = Array.from({ length: 10 }, (_, minute) => BigInt(minute) * 60n * SECOND);
+const BINS = {
+  messagesPerBin: 600,
+  firstNs: new BigInt64Array(MINUTES),
+  lastNs: new BigInt64Array(MINUTES.map((timeNs) => timeNs + 59n * SECOND)),
+  fields: [{ low: MINUTES.map((_, minute) => -minute), high: MINUTES.map((_, minute) => minute) }],
+};
+const LARGE = { stepNs: 1_000_000n, curvesNs: 100n * SECOND, sizeBytes: 50e9 };
+
+it("shows the preview of a large recording, and reads only what is around the play head and zoomed in", async () => {
+  vi.useFakeTimers({ toFake: ["setTimeout", "clearTimeout"] });
+  const { using, requests } = viewerAt(300n * SECOND, { ...LARGE, preview: { series: () => Promise.resolve(BINS) } });
+  const zoomed = ref<{ fromNs: bigint; toNs: bigint } | null>(null);
+  const { rough, unread } = using(() => useCurves(() => series, () => 0, () => zoomed.value));
+  await settled();
+  expect(requests).toEqual([{ fromNs: 298n * SECOND, toNs: 315n * SECOND }]);
+  const seconds = rough.value.flatMap((segment) => segment.seconds);
+  expect(seconds).toHaveLength(18); // of two bins, one end was read
+  expect(seconds.some((second) => second >= 298 && second <= 315)).toBe(false);
+  zoomed.value = { fromNs: 100n * SECOND, toNs: 150n * SECOND };
+  await settled();
+  vi.runAllTimers();
+  await settled();
+  expect(requests[1]).toEqual({ fromNs: 100n * SECOND, toNs: 150n * SECOND });
+  expect(requests).toHaveLength(2);
+  expect(unread.value.map(({ fromNs }) => fromNs)).toEqual([0n, 150n * SECOND + 1n, 315n * SECOND + 1n]);
+  vi.useRealTimers();
+});
+
+it.each([
+  ["has no preview", undefined],
+  ["has a damaged preview", { series: () => Promise.reject(new ReadFailure("index_damaged")) }],
+  ["has a preview without the topic", { series: () => Promise.resolve(null) }],
+])("reads the beginning of a large recording that %s", async (_, preview) => {
+  const { using, requests } = viewerAt(0n, preview === undefined ? LARGE : { ...LARGE, preview });
+  const { failure, rough } = using(() => useCurves(() => series, () => 0, () => null));
+  await settled();
+  expect(failure.value).toBeNull();
+  expect(rough.value).toEqual([]);
+  expect(requests[0]).toEqual(SPAN);
 });

@@ -1,7 +1,9 @@
-// Reads the curves of one topic: the beginning up to a limit, what is around the play head, and the rest on demand.
+// Reads the curves of one topic: those of the previews of a large recording, else the beginning up to a limit; then what
+// is around the play head or in the part that is zoomed in, and the rest on demand.
 import { computed, onScopeDispose, ref, shallowRef, watch, type ComputedRef, type Ref } from "vue";
-import { AROUND_BYTES, emptySegment, partAround, PLOT_BYTES, segmentOf, unreadParts, type Segment } from "./curves";
+import { AROUND_BYTES, emptySegment, partAround, partsWithin, PLOT_BYTES, segmentOf, unreadParts, type Segment } from "./curves";
 import type { Series } from "./layout";
+import { roughSegments, type FileSeries } from "./rough_curves";
 import type { SourceFile } from "./sources";
 import { secondsOf, useViewer } from "./viewer";
 import { chosenFields } from "@/features/file/viewer/plot";
@@ -11,6 +13,8 @@ import type { FieldNode } from "@/recordings/decoding/fields";
 
 export interface SeriesCurves {
   readonly segments: Ref<readonly Segment[]>;
+  /** The curves of the previews, in the parts that were not read. */
+  readonly rough: ComputedRef<readonly Segment[]>;
   /** The fields that the topic offers; null until they are read. */
   readonly offered: Ref<readonly FieldNode[] | null>;
   /** The fields that are drawn: those of the series, or the defaults of the message type. */
@@ -29,18 +33,27 @@ type Read = (file: SourceFile, part: Span, maxBytes: number) => Promise<Segment>
 /** Curves come after the messages at the time of the play head. */
 const AFTER_MESSAGES = 1_000;
 
-/** Reads the curves of a series, and follows it. */
-export function useCurves(series: () => Series, priority: () => number): SeriesCurves {
-  const { clock, sources, topics } = useViewer();
+/** How long the zoom rests before its part is read. */
+const ZOOM_PAUSE_MS = 300;
+
+/** Reads the curves of a series, and follows it, the play head, and the part of the time that is zoomed in. */
+export function useCurves(series: () => Series, priority: () => number, zoomed: () => Span | null): SeriesCurves {
+  const { clock, sources, previews, topics } = useViewer();
   const segments = shallowRef<readonly Segment[]>([]);
+  const previewed = shallowRef<readonly FileSeries[]>([]);
   const offered = shallowRef<readonly FieldNode[] | null>(null);
   const failure = shallowRef<ReadFailure | null>(null);
   const isReading = ref(false);
   let controller = new AbortController();
+  let zoomToRead: Span | null = null;
+  let zoomTimer: ReturnType<typeof setTimeout> | undefined;
 
   const topic = computed(() => topics.find(({ recording, name }) => recording === series().recording && name === series().topic));
   const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
   const fields = computed(() => (offered.value === null ? [] : chosenFields(offered.value, series().fields, topic.value?.messageType ?? null)));
+  /** Of a small recording, everything is read anyway. */
+  const isLarge = computed(() => files.value.reduce((sum, file) => sum + file.size_bytes, 0) > PLOT_BYTES);
+  const rough = computed(() => roughSegments(previewed.value, segments.value, (timeNs) => secondsOf(clock, timeNs)));
   const unread = computed(() => files.value.flatMap((file) => unreadParts(file, segments.value)));
   const wholeBytes = computed(() => (unread.value.length === 0 ? 0 : segments.value.reduce((sum, { wholeBytes: bytes, isCut }) => sum + (isCut ? bytes : 0), 0)));
 
@@ -82,6 +95,7 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
 
   function readBeginning(): Promise<boolean> {
     return attempt(async (readPart) => {
+      if (isLarge.value && (await showPreviews(controller.signal))) return;
       let bytesLeft = PLOT_BYTES;
       for (const file of files.value) {
         const [part] = unreadParts(file, segments.value);
@@ -89,6 +103,17 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
         bytesLeft -= (await readPart(file, part, bytesLeft)).wholeBytes;
       }
     });
+  }
+
+  /** Shows the curves of the previews; returns whether there are any. A preview that cannot be read is as good as none. */
+  async function showPreviews(signal: AbortSignal): Promise<boolean> {
+    for (const file of files.value) {
+      const preview = await previews.of(file.id).catch(() => null);
+      const bins = await preview?.series(series().topic, fields.value).catch(() => null);
+      if (signal.aborted) throw new ReadFailure("cancelled");
+      if (bins) previewed.value = [...previewed.value, { file, series: bins }];
+    }
+    return previewed.value.length > 0;
   }
 
   function readAll(): Promise<boolean> {
@@ -104,6 +129,14 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
       for (const file of files.value) {
         const part = partAround(unreadParts(file, segments.value), timeNs);
         if (part !== null) await readPart(file, part, AROUND_BYTES);
+      }
+    });
+  }
+
+  function readWithin(span: Span): Promise<boolean> {
+    return attempt(async (readPart) => {
+      for (const file of files.value) {
+        for (const part of partsWithin(unreadParts(file, segments.value), span)) await readPart(file, part, PLOT_BYTES);
       }
     });
   }
@@ -124,6 +157,7 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
     controller = new AbortController();
     isReading.value = false;
     segments.value = [];
+    previewed.value = [];
   }
 
   function draw(): void {
@@ -132,11 +166,15 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
     if (fields.value.length > 0) void thenFollow(readBeginning());
   }
 
-  /** Reads around the play head where that was not read; goes on until it is, also where the play head has moved since. */
+  /** Reads what is zoomed in, then around the play head where that was not read; goes on while either has changed since. */
   async function follow(): Promise<void> {
+    if (isReading.value || failure.value !== null || fields.value.length === 0) return;
     const timeNs = clock.timeNs.value;
     const isUnread = unread.value.some((part) => timeNs >= part.fromNs && timeNs <= part.toNs);
-    if (isUnread && !isReading.value && failure.value === null && fields.value.length > 0 && (await readAround(timeNs))) await follow();
+    const span = zoomToRead;
+    zoomToRead = null;
+    const isRead = span !== null ? await readWithin(span) : isUnread && (await readAround(timeNs));
+    if (isRead) await follow();
   }
 
   async function thenFollow(reading: Promise<boolean>): Promise<void> {
@@ -146,6 +184,16 @@ export function useCurves(series: () => Series, priority: () => number): SeriesC
   watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
   watch(() => JSON.stringify([offered.value === null, fields.value]), draw);
   watch(clock.timeNs, follow);
-  onScopeDispose(() => controller.abort());
-  return { segments, offered, fields, unread, failure, isReading, wholeBytes, readAll: () => void thenFollow(readAll()), again: () => (offered.value === null ? restart() : draw()) };
+  watch(zoomed, (span) => {
+    clearTimeout(zoomTimer);
+    zoomTimer = setTimeout(() => {
+      zoomToRead = span;
+      void follow();
+    }, ZOOM_PAUSE_MS);
+  });
+  onScopeDispose(() => {
+    clearTimeout(zoomTimer);
+    controller.abort();
+  });
+  return { segments, rough, offered, fields, unread, failure, isReading, wholeBytes, readAll: () => void thenFollow(readAll()), again: () => (offered.value === null ? restart() : draw()) };
 }

@@ -1,6 +1,7 @@
 // What the panels of the viewer share: the clock, the recordings, and which panel is selected.
 import { inject, type InjectionKey, type Ref } from "vue";
 import type { Clock } from "./clock";
+import type { Previews } from "./previews";
 import type { ViewerTopic } from "./queries";
 import type { Sources } from "./sources";
 import { formatUtc } from "@/components/format";
@@ -9,6 +10,7 @@ import { texts } from "@/texts/viewer";
 export interface Viewer {
   readonly clock: Clock;
   readonly sources: Sources;
+  readonly previews: Previews;
   readonly topics: readonly ViewerTopic[];
   /** The place of the panel whose messages the keys `,` and `.` step through. */
   readonly selected: Ref<number>;
