@@ -93,7 +93,7 @@ def _digest(piece: bytes, sha256: "hashlib._Hash", md5: "hashlib._Hash", crc: in
 async def _preview(readers: ReaderProcesses, recording: _Recording, url: str) -> bytes:
     announced = PreviewRequest(url, recording.size_bytes, recording.path.name)
     request = request_bytes(announced, memory_bytes=_MEMORY_BYTES, timeout_s=_TIMEOUT_S)
-    return await readers.preview(request, owner=uuid.uuid4(), timeout_s=_TIMEOUT_S)
+    return (await readers.preview(request, owner=uuid.uuid4(), timeout_s=_TIMEOUT_S)).data
 
 
 if __name__ == "__main__":

@@ -25,10 +25,27 @@ RECORDINGS = Path(os.environ.get("KLEINKRAM_RECORDINGS") or Path(__file__).paren
 # Scripts that make small inputs which once failed, one folder each.
 CASES = RECORDINGS.parent / "cases"
 
-# The longest files start first. Those that use the CPU, mostly browsers, alternate with those that mostly wait, for
-# rates, timeouts or leases: four workers on two cores should rarely run only one kind at the same time.
+# Files that need a browser, the longest first. They run one after the other in two groups: on two cores, four browsers
+# and their servers at once make each other time out.
+_BROWSERS = "system/web/"
+_BROWSER_GROUPS = 2
+_LONGEST_BROWSERS = (
+    "test_every_page.py",
+    "test_contents.py",
+    "test_mission_viewer.py",
+    "test_events.py",
+    "test_people.py",
+    "test_upload.py",
+    "test_layouts.py",
+    "test_runs.py",
+    "test_previews.py",
+    "test_library.py",
+    "test_scene.py",
+    "test_checks.py",
+)
+# The longest of the others start first. Those that use the CPU alternate with those that mostly wait, for rates,
+# timeouts or leases.
 _LONGEST = (
-    "system/web/test_every_page.py",
     "system/test_bad_link.py",
     "integration/access/test_matrix.py",
     "system/test_store_trouble.py",
@@ -36,11 +53,8 @@ _LONGEST = (
     "integration/runner/test_executors.py",
     "integration/backup/test_keeping.py",
     "system/test_kills.py",
-    "system/web/test_upload.py",
     "integration/backup/test_drill.py",
-    "system/web/test_previews.py",
     "integration/runner_loop/test_slurm.py",
-    "system/web/test_runs.py",
     "system/test_lying_store.py",
     "integration/library/test_lidar_odometry.py",
     "integration/runner_loop/test_faults.py",
@@ -68,20 +82,37 @@ settings.register_profile("soak", deadline=None, suppress_health_check=[HealthCh
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long rounds have no timeout: a history that is cut off in the middle looks like a flaky test."""
-    # Workers take files in this order; the long ones come first, so that no worker has one left at the end.
+    # Workers take groups in this order; the long ones come first, so that no worker has one left at the end.
     items.sort(key=_start_order)
+    with_browsers = list(dict.fromkeys(filter(_needs_browser, map(_file_name, items))))
     for item in items:
+        name = _file_name(item)
+        place = with_browsers.index(name) % _BROWSER_GROUPS if name in with_browsers else None
+        # For `--dist loadgroup`: a worker runs the tests of a group one after the other.
+        item.add_marker(pytest.mark.xdist_group(name if place is None else f"browsers-{place}"))
         if item.get_closest_marker("soak") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(0))
 
 
-def _start_order(item: pytest.Item) -> int:
-    name = item.nodeid.partition("::")[0].removeprefix("tests/")
+def _file_name(item: pytest.Item) -> str:
+    return item.nodeid.partition("::")[0].removeprefix("tests/")
+
+
+def _needs_browser(name: str) -> bool:
+    return name.startswith(_BROWSERS)
+
+
+def _start_order(item: pytest.Item) -> tuple[int, int]:
+    name = _file_name(item)
+    if _needs_browser(name):
+        place = name.removeprefix(_BROWSERS)
+        return 0, _LONGEST_BROWSERS.index(place) if place in _LONGEST_BROWSERS else len(_LONGEST_BROWSERS)
     if name in _LONGEST:
-        return _LONGEST.index(name)
-    return len(_LONGEST) + (not name.startswith("system/"))
+        return 1, _LONGEST.index(name)
+    return 2, not name.startswith("system/")
 
 
 @pytest.hookimpl(tryfirst=True)

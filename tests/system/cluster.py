@@ -26,6 +26,10 @@ def environment(home: Path, **more: str) -> dict[str, str]:
     return {**inherited, **ours, **more}
 
 
+# On a machine that is busy with four of them.
+_START_TIMEOUT_S = 180.0
+
+
 @dataclass
 class Cluster:
     """A data directory under `home`, and its supervisor if one is running."""
@@ -59,7 +63,11 @@ class Cluster:
                 command, env=environment(self.home, **self.settings), stdout=out, stderr=err
             )
         process = self.process
-        wait_until(lambda: b"answers at" in output.read_bytes() or process.poll() is not None, "klein up to answer")
+        wait_until(
+            lambda: b"answers at" in output.read_bytes() or process.poll() is not None,
+            "klein up to answer",
+            timeout_s=_START_TIMEOUT_S,
+        )
         if process.poll() is not None:
             pytest.fail(f"klein up failed: {(self.home / 'up.err').read_text()}")
 

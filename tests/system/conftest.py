@@ -65,9 +65,11 @@ def shared_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster
     altogether: all projects, people, runs.
     """
     cluster = Cluster(tmp_path_factory.mktemp("shared"))
-    cluster.start()
-    yield cluster
-    cluster.end()
+    try:
+        cluster.start()
+        yield cluster
+    finally:
+        cluster.end()
 
 
 def _require_ip() -> None:

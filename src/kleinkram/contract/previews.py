@@ -89,7 +89,16 @@ class MissionPicture(Response):
     expires_at: datetime.datetime
 
 
+class MissionThumbnail(Response):
+    """A picture that a camera recorded in a mission, of at most 160 by 160 pixels: a JPEG in base64."""
+
+    mission_id: uuid.UUID
+    file_id: uuid.UUID
+    jpeg: str
+
+
 class MissionPictures(Response):
-    """The pictures of those missions that have one, in no order."""
+    """The pictures of those missions that have one, in no order; of the others, a thumbnail if cameras recorded."""
 
     items: list[MissionPicture]
+    thumbnails: list[MissionThumbnail]

@@ -23,7 +23,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from kleinkram.recordings import model
 from kleinkram.recordings.decoding.types import ReadingExtraMissing
@@ -33,6 +33,9 @@ from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
 from kleinkram.recordings.limits import MAX_SCAN_BYTES, WINDOW
 from kleinkram.recordings.model import Depth, RecordingSummary
 from kleinkram.recordings.sources import FileSource, PipeReader, Source, SourceReader
+
+if TYPE_CHECKING:
+    from kleinkram.recordings.previews import Thumbnail
 
 CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.isolation")
 """`-I`: the child takes no module from the working directory, and nothing from the environment."""
@@ -100,6 +103,14 @@ class PreviewRequest:
     logs: Mapping[str, tuple[str, int]] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class PreviewAnswer:
+    """The file of a preview, and the picture that stands for it as JPEG. Neither is parsed."""
+
+    data: bytes
+    thumbnail: bytes | None
+
+
 SummaryRequest = FileRequest | UrlRequest
 
 
@@ -129,9 +140,15 @@ def read_metadata_answer(stdout: bytes, stderr: bytes, returncode: int) -> Rosba
     return _read_answer("metadata", lambda plain: plain and metadata_from_dict(plain), stdout, stderr, returncode)
 
 
-def read_preview_answer(stdout: bytes, stderr: bytes, returncode: int) -> bytes:
-    """Return the file of the preview in the child's answer; `SummaryFailed` if it has none. It is not parsed."""
-    return _read_answer("preview", base64.b64decode, stdout, stderr, returncode)
+def read_preview_answer(stdout: bytes, stderr: bytes, returncode: int) -> PreviewAnswer:
+    """Return the preview in the child's answer; `SummaryFailed` if it has none."""
+
+    def parse(plain: dict[str, Any]) -> PreviewAnswer:
+        thumbnail = plain["thumbnail"]
+        jpeg = None if thumbnail is None else base64.b64decode(thumbnail)
+        return PreviewAnswer(base64.b64decode(plain["data"]), jpeg)
+
+    return _read_answer("preview", parse, stdout, stderr, returncode)
 
 
 def _read_answer(key: str, parse: Callable[[Any], T], stdout: bytes, stderr: bytes, returncode: int) -> T:
@@ -257,7 +274,9 @@ def _answer(request: dict[str, Any]) -> dict[str, object]:
             metadata = rosbag2.parse_rosbag2_metadata(request["metadata"])
             return {"metadata": metadata and asdict(metadata)}
         if "preview_url" in request:
-            return {"preview": base64.b64encode(_make_preview(request)).decode()}
+            data, thumbnail = _make_preview(request)
+            jpeg = thumbnail and base64.b64encode(thumbnail.jpeg).decode()
+            return {"preview": {"data": base64.b64encode(data).decode(), "thumbnail": jpeg}}
         return {"summary": to_dict(_summarise(request))}
     except SourceError as error:
         return {"failed": "source", "message": str(error)}
@@ -303,13 +322,13 @@ def _logs(request: dict[str, Any]) -> dict[str, Source]:
     }
 
 
-def _make_preview(request: dict[str, Any]) -> bytes:
+def _make_preview(request: dict[str, Any]) -> tuple[bytes, Thumbnail | None]:
     started_s = time.monotonic()
     from kleinkram.recordings.http_source import HttpSource  # only in the child
     from kleinkram.recordings.recording import Recording
 
     try:
-        from kleinkram.recordings.previews import PreviewLimits, make_preview
+        from kleinkram.recordings.previews import PreviewLimits, make_preview, representative_thumbnail
     except ImportError as error:
         raise ReadingExtraMissing(error.name or "numpy") from None
 
@@ -317,7 +336,8 @@ def _make_preview(request: dict[str, Any]) -> bytes:
     with Recording.open([source, *_logs(request).values()], max_bytes=request["max_bytes"]) as recording:
         # Half of what is left: pictures and numbers that were read must be encoded, and the answer be sent.
         left_s = max(0.0, request["cpu_s"] - (time.monotonic() - started_s)) / 2
-        return make_preview(recording, PreviewLimits(cpu_s=left_s, wall_s=left_s))
+        data = make_preview(recording, PreviewLimits(cpu_s=left_s, wall_s=left_s))
+    return data, representative_thumbnail(data)
 
 
 if __name__ == "__main__":

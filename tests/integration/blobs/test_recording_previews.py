@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import itertools
 import sqlite3
@@ -14,6 +15,7 @@ import pytest
 
 from kleinkram.contract.access import Right
 from kleinkram.recordings import FailureKind, Recording, SummaryFailed
+from kleinkram.recordings.isolation import PreviewAnswer
 from kleinkram.recordings.previews import PREVIEW_VERSION, make_preview, read_preview
 from kleinkram.recordings.sample import SampleFormat, generate_file, generate_mcap
 from kleinkram.server.blobs import preview_jobs, recording_previews
@@ -96,6 +98,31 @@ def test_files_with_the_same_bytes_share_a_preview(api: Api, mission_id: str, bo
     assert _JOB not in run_jobs(api)
     assert _preview(api, second["id"])["state"] == "ready"
     assert _key(api, first["id"]) == _key(api, second["id"])
+
+
+def test_lists_show_a_picture_of_a_camera_of_the_largest_recording(api: Api, tmp_path: Path, body: bytes) -> None:
+    project_id = api.project()["id"]
+    missions = [api.mission(project_id)["id"] for _ in range(2)]
+    generate_mcap(tmp_path / "large.mcap", size_bytes=800_000, seed=next(_SEEDS))
+    large = upload(api, missions[0], "large.mcap", (tmp_path / "large.mcap").read_bytes())
+    upload(api, missions[0], "small.mcap", _unique(body, tmp_path))
+    assert _thumbnails(api, missions) == []
+    run_jobs(api)
+    (thumbnail,) = _thumbnails(api, missions)
+    assert (thumbnail["mission_id"], thumbnail["file_id"]) == (missions[0], large["id"])
+    preview = read_preview(fetch(_preview(api, large["id"])["url"])[1])
+    strips = [[one.jpeg for one in strip.thumbnails] for strip in preview.cameras]
+    assert base64.b64decode(thumbnail["jpeg"]) in [strip[len(strip) // 2] for strip in strips]
+    assert _thumbnails(api.as_(people.person(api).token), missions) == []
+    api.delete(f"/files/{large['id']}/preview").ok()
+    (other,) = _thumbnails(api, missions)
+    assert other["file_id"] != large["id"]
+
+
+def _thumbnails(api: Api, mission_ids: list[str]) -> list[dict[str, Any]]:
+    answer = api.post("/missions/pictures", {"mission_ids": mission_ids}).ok()
+    assert answer["items"] == []
+    return list(answer["thumbnails"])
 
 
 def test_small_recordings_and_other_files_have_a_preview_on_request_only(
@@ -229,7 +256,7 @@ def test_a_job_that_is_overtaken_leaves_no_object(
     make = preview_jobs._make
     keys: list[str | None] = []
 
-    async def make_and_delete(*arguments: Any) -> bytes:
+    async def make_and_delete(*arguments: Any) -> PreviewAnswer:
         data = await make(*arguments)
         keys.append(await asyncio.to_thread(_key, api, file["id"]))
         await asyncio.to_thread(lambda: api.delete(f"/files/{file['id']}/preview").ok())
@@ -302,7 +329,7 @@ def test_garbage_collection_leaves_the_key_to_a_job_that_runs(
     file = upload(api, mission_id, "run.mcap", _unique(body, tmp_path))
     path, make, keys = f"/files/{file['id']}/preview", preview_jobs._make, list[str | None]()
 
-    async def make_after_deletion(*arguments: Any) -> bytes:
+    async def make_after_deletion(*arguments: Any) -> PreviewAnswer:
         data = await make(*arguments)
         if not keys:
             await asyncio.to_thread(lambda: api.delete(path).ok())

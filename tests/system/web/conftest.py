@@ -28,7 +28,7 @@ def run_browser() -> RunBrowser:
         missing("the web interface is not built: `make setup` builds it")
 
     def run(
-        script: str, cluster: Cluster, *arguments: object, timeout_s: float = 200, inside: Sequence[str] = ()
+        script: str, cluster: Cluster, *arguments: object, timeout_s: float = 560, inside: Sequence[str] = ()
     ) -> dict[str, Any]:
         link = cluster.terminal.run("session", "link").out.strip()
         program = Path(__file__).parent / script

@@ -34,7 +34,7 @@ def _accept_invitation(cluster: Cluster) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_account_mission_form_failed_job_and_scrub(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

@@ -62,7 +62,7 @@ from kleinkram.action import out
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_verdicts_are_in_sight_explained_and_overruled(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

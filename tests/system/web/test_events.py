@@ -27,7 +27,7 @@ _SECOND = 10**9
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 def test_events_are_added_by_keys_searched_and_cut(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:
@@ -47,7 +47,7 @@ def test_events_are_added_by_keys_searched_and_cut(
     files = terminal.run("file", "list", "-p", "Alps", "--json").json()["items"]
     file = next(row for row in files if row["path"] == "drive.mcap")
     ids = {"invitation": invited["url"], "mission": file["mission"]["id"], "file": file["id"]}
-    results = run_browser("events.mjs", cluster, json.dumps(ids), pictures, timeout_s=380)
+    results = run_browser("events.mjs", cluster, json.dumps(ids), pictures, timeout_s=560)
 
     assert results["consoleErrors"] == []
     assert results["executed"] == [], "markup was run"

@@ -47,7 +47,7 @@ _MAX_BYTES = 200_000
 
 
 @pytest.mark.soak
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_screenshots_of_the_readme_are_taken(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

@@ -22,7 +22,7 @@ _PLACEMENT = (
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(200)
+@pytest.mark.timeout(600)
 def test_an_owner_allows_a_class_and_a_run_shows_its_own(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

@@ -26,7 +26,7 @@ def _write_text(path: Path, topic: str, start_ns: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_layouts_are_saved_in_one_mission_and_shown_in_another(
     shared_cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

@@ -15,7 +15,7 @@ from tests.system.web.conftest import RunBrowser
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_shipped_actions_are_added_in_a_dialog(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

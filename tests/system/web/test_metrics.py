@@ -30,7 +30,7 @@ _VALUES = (
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_metrics_are_compared_in_a_table_that_a_link_shows_again(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

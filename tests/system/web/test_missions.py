@@ -42,7 +42,7 @@ _LISTED = {"cold": ("anymal", -3), "mild": ("spot", 9.5), "hot": ("spot", 21)}
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_metadata_files_and_rights_of_missions_with_hostile_names(
     shared_cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:
@@ -97,7 +97,7 @@ def test_metadata_files_and_rights_of_missions_with_hostile_names(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_missions_are_sorted_filtered_changed_and_downloaded_in_bulk(
     shared_cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

@@ -17,7 +17,7 @@ _LARGE_BYTES = 20_000_000
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_missions_are_resumed_renamed_shared_moved_deleted_and_restored(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

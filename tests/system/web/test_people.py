@@ -25,7 +25,7 @@ SELECT id, ref FROM given_up
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_people_groups_tokens_trash_and_audit_log(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

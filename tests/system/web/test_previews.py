@@ -55,7 +55,7 @@ for number in range(5):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_previews_are_shown_at_the_mission_and_in_lists(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

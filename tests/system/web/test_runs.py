@@ -54,7 +54,7 @@ print("the very end", flush=True)
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_a_run_is_launched_watched_and_followed_to_its_lineage(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

@@ -27,7 +27,7 @@ _BACKGROUND_COLOURS = 20
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_3d_panels_show_the_recorded_points_poses_and_markers(
     shared_cluster: Cluster, run_browser: RunBrowser, tmp_path: Path, pictures: Path
 ) -> None:
@@ -56,7 +56,7 @@ def test_3d_panels_show_the_recorded_points_poses_and_markers(
         _view("deleted", shapes, _TIME_NS + 2 * scene_messages.SECOND_NS, ["/shapes"], 0, items=11),
         _view("settings", shapes, _TIME_NS, ["/colours"], 95, has_settings=True),
     ]
-    results = run_browser("scene.mjs", shared_cluster, pictures, json.dumps(views), timeout_s=280)
+    results = run_browser("scene.mjs", shared_cluster, pictures, json.dumps(views), timeout_s=560)
 
     shown = results["views"]
     assert (results["consoleErrors"], results["axe"], results["overflowing"]) == ([], [], [])

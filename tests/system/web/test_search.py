@@ -16,7 +16,7 @@ _MARKUP = "Wet <img src=x onerror=alert(1)> <b>grass<b>"
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_search_results_are_labelled_shared_and_downloaded(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

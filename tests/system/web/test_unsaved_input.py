@@ -19,7 +19,7 @@ fields:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_unsaved_input_survives_an_expired_session_and_a_server_restart(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:
@@ -39,7 +39,7 @@ def test_unsaved_input_survives_an_expired_session_and_a_server_restart(
     later = tmp_path / "later.txt"
     later.write_text("notes")
     api = cluster.runtime_info()["services"]["api"]
-    results = run_browser("lasting.mjs", cluster, invited["url"], mission, api, later, pictures, timeout_s=250)
+    results = run_browser("lasting.mjs", cluster, invited["url"], mission, api, later, pictures, timeout_s=560)
 
     assert results["errors"] == []
     assert results["endStatus"] == 204
@@ -60,7 +60,7 @@ def test_unsaved_input_survives_an_expired_session_and_a_server_restart(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_a_browser_on_another_machine_uploads_and_downloads(
     cluster: Cluster, run_browser: RunBrowser, other_machine: OtherMachine, pictures: Path, tmp_path: Path
 ) -> None:

@@ -27,7 +27,7 @@ _SMALL_FILES, _SMALL_BYTES = 100, 250_000
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_an_interrupted_upload_is_completed_without_sending_parts_again(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:
@@ -73,7 +73,7 @@ def test_an_interrupted_upload_is_completed_without_sending_parts_again(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_an_upload_survives_a_killed_api_an_expired_session_and_a_second_tab(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:

@@ -34,7 +34,7 @@ _SELECTIONS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(600)
 def test_previews_show_the_recorded_images_and_plots(
     shared_cluster: Cluster, run_browser: RunBrowser, tmp_path: Path
 ) -> None:
@@ -83,7 +83,7 @@ def test_previews_show_the_recorded_images_and_plots(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(600)
 def test_download_selection_gives_the_bytes_of_klein_cut(
     shared_cluster: Cluster, run_browser: RunBrowser, tmp_path: Path
 ) -> None:

@@ -23,7 +23,7 @@ _EARTH_RADIUS_M = 6_378_137
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(600)
 def test_panels_show_what_the_sdk_reads(
     shared_cluster: Cluster, run_browser: RunBrowser, recordings_dir: Path, pictures: Path
 ) -> None:

@@ -6182,11 +6182,13 @@ export interface components {
         };
         /**
          * MissionPictures
-         * @description The pictures of those missions that have one, in no order.
+         * @description The pictures of those missions that have one, in no order; of the others, a thumbnail if cameras recorded.
          */
         MissionPictures: {
             /** Items */
             items: components["schemas"]["MissionPicture"][];
+            /** Thumbnails */
+            thumbnails: components["schemas"]["MissionThumbnail"][];
         };
         /**
          * MissionPreview
@@ -6348,6 +6350,24 @@ export interface components {
             };
             /** Yaml */
             yaml: string;
+        };
+        /**
+         * MissionThumbnail
+         * @description A picture that a camera recorded in a mission, of at most 160 by 160 pixels: a JPEG in base64.
+         */
+        MissionThumbnail: {
+            /**
+             * File Id
+             * Format: uuid
+             */
+            file_id: string;
+            /** Jpeg */
+            jpeg: string;
+            /**
+             * Mission Id
+             * Format: uuid
+             */
+            mission_id: string;
         };
         /**
          * MissionTimeline

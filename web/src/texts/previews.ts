@@ -18,4 +18,5 @@ export const texts = {
   place: (at: number, count: number) => `${at} of ${count}`,
   keys: "The arrow keys show the previous and the next picture.",
   run: "Open the run",
+  recorded: "Picture of a camera",
 } as const;

@@ -5,7 +5,12 @@ stays below about 300 MB, whatever the recording. Needs numpy and pillow, of the
 """
 
 from kleinkram.recordings.previews.builder import PreviewLimits, make_preview, preview_max_bytes
-from kleinkram.recordings.previews.container import PREVIEW_VERSION, PreviewUnreadable, read_preview
+from kleinkram.recordings.previews.container import (
+    PREVIEW_VERSION,
+    PreviewUnreadable,
+    read_preview,
+    representative_thumbnail,
+)
 from kleinkram.recordings.previews.model import (
     CameraStrip,
     FieldSeries,
@@ -38,4 +43,5 @@ __all__ = [
     "make_preview",
     "preview_max_bytes",
     "read_preview",
+    "representative_thumbnail",
 ]

@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from kleinkram.recordings.decoding.types import ReadingExtraMissing
@@ -191,8 +192,28 @@ def read_preview(data: bytes) -> RecordingPreview:
         import numpy  # noqa: F401  # only to name it where it is missing
     except ImportError:
         raise ReadingExtraMissing("numpy") from None
-    try:
+    with _named_damage():
         return _Parser(data).preview()
+
+
+def representative_thumbnail(data: bytes) -> Thumbnail | None:
+    """Return the thumbnail in the middle of the camera with the most pictures; None without any. Needs no numpy.
+
+    Raises:
+        PreviewUnreadable: it is no such file, of another version, or damaged.
+    """
+    with _named_damage():
+        strips = [strip for strip in _Parser(data).cameras() if strip.thumbnails]
+    if not strips:
+        return None
+    thumbnails = max(strips, key=lambda strip: strip.message_count).thumbnails
+    return thumbnails[len(thumbnails) // 2]
+
+
+@contextmanager
+def _named_damage() -> Iterator[None]:
+    try:
+        yield
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError) as error:
         raise PreviewUnreadable(f"its index is damaged ({type(error).__name__})") from error
 
@@ -222,13 +243,17 @@ class _Parser:
             end_ns=_time(index["end_ns"]),
             read_share=float(index["read_share"]),
             series=tuple(self._series(entry) for entry in index["series"]),
-            cameras=tuple(self._camera(entry) for entry in index["cameras"]),
+            cameras=self.cameras(),
             tracks=tuple(self._track(entry) for entry in index["tracks"]),
             log_lines=tuple(_read_line(entry) for entry in json.loads(self._unpack(logs["lines"]))),
             log_line_count=int(logs["count"]),
             clouds=tuple(self._cloud(entry) for entry in index["clouds"]),
             left_out=tuple(LeftOutTopic(str(entry["topic"]), str(entry["reason"])) for entry in index["left_out"]),
         )
+
+    def cameras(self) -> tuple[CameraStrip, ...]:
+        """Return the thumbnails of all cameras."""
+        return tuple(self._camera(entry) for entry in self._index["cameras"])
 
     def _bytes(self, entry: Mapping[str, Any]) -> memoryview:
         start, length = int(entry["offset"]), int(entry["length"])

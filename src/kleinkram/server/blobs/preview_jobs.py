@@ -5,13 +5,14 @@ It is independent of the verification: whatever fails here concerns the preview 
 
 import signal
 import uuid
+from dataclasses import replace
 
 from procrastinate import JobContext
 
 from kleinkram.contract.names import file_name
 from kleinkram.contract.recording_previews import RecordingPreviewState
 from kleinkram.recordings import FailureKind, SummaryFailed
-from kleinkram.recordings.isolation import PreviewRequest, request_bytes
+from kleinkram.recordings.isolation import PreviewAnswer, PreviewRequest, request_bytes
 from kleinkram.server.blobs import recording_previews, service
 from kleinkram.server.blobs.queries import BlobRow
 from kleinkram.server.blobs.readers import ReaderProcesses
@@ -27,6 +28,7 @@ from kleinkram.server.jobs.execution import (
 from kleinkram.server.jobs.queue import Job, queue
 
 MAX_PREVIEW_BYTES = 20 * 10**6
+MAX_THUMBNAIL_BYTES = 32 * 1024
 # A recording without a usable index is read whole to be opened, up to this size.
 _MAX_SCAN_BYTES = 2**30
 # Below the speed of the slowest format on any known machine; of a recording above 4 GiB, about as much is read.
@@ -53,7 +55,7 @@ async def make_recording_preview(job_context: JobContext, ref: str) -> None:
         if not await recording_previews.record_begin(db, blob_id, key=key):
             return
     try:
-        data = await _make(context, worker_resource(job_context, "readers", ReaderProcesses), row)
+        made = await _make(context, worker_resource(job_context, "readers", ReaderProcesses), row)
     except SummaryFailed as failure:
         if failure.kind is FailureKind.source and job_context.job.attempts < ATTEMPTS - 1:
             raise  # the store failed, not the file: try again
@@ -62,9 +64,11 @@ async def make_recording_preview(job_context: JobContext, ref: str) -> None:
                 db, blob_id, key=key, reason=str(failure), temporary_failures=_temporary_failures(failure, before)
             )
         return
-    await context.storage.put_object(key, data)
+    await context.storage.put_object(key, made.data)
     async with context.database.begin() as db:
-        is_recorded = await recording_previews.record_ready(db, blob_id, key=key, size_bytes=len(data))
+        is_recorded = await recording_previews.record_ready(
+            db, blob_id, key=key, size_bytes=len(made.data), thumbnail=made.thumbnail
+        )
     if not is_recorded:
         await context.storage.delete(key)
 
@@ -85,8 +89,8 @@ def _temporary_failures(failure: SummaryFailed, before: recording_previews.Recor
     return (before.temporary_failures if before is not None else 0) + 1 if is_temporary else 0
 
 
-async def _make(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> bytes:
-    """Return the file of a preview, which the child may have falsified: only its size is checked."""
+async def _make(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> PreviewAnswer:
+    """Return a preview, which the child may have falsified: only sizes are checked."""
     async with context.database.begin() as db:
         logs = await service.find_sqlite_logs(db, row.id)
     size_bytes = row.size_bytes + sum(log.size_bytes for log in logs.values())
@@ -105,7 +109,8 @@ async def _make(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> 
         memory_bytes=context.settings.summary_memory_bytes,
         timeout_s=round(timeout_s),
     )
-    data = await readers.preview(request, owner=row.uploaded_by_id, timeout_s=timeout_s)
-    if len(data) > MAX_PREVIEW_BYTES:
-        raise SummaryFailed(f"it has {len(data)} bytes", kind=FailureKind.crash)
-    return data
+    made = await readers.preview(request, owner=row.uploaded_by_id, timeout_s=timeout_s)
+    if len(made.data) > MAX_PREVIEW_BYTES:
+        raise SummaryFailed(f"it has {len(made.data)} bytes", kind=FailureKind.crash)
+    is_small = made.thumbnail is not None and len(made.thumbnail) <= MAX_THUMBNAIL_BYTES
+    return made if is_small else replace(made, thumbnail=None)

@@ -27,6 +27,7 @@ from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
 from kleinkram.recordings.isolation import (
     CHILD_COMMAND,
     CHILD_ENVIRONMENT,
+    PreviewAnswer,
     read_answer,
     read_metadata_answer,
     read_preview_answer,
@@ -262,7 +263,7 @@ class ReaderProcesses:
         """
         return await self._ask(request, read_metadata_answer, owner, timeout_s)
 
-    async def preview(self, request: bytes, *, owner: uuid.UUID, timeout_s: float) -> bytes:
+    async def preview(self, request: bytes, *, owner: uuid.UUID, timeout_s: float) -> PreviewAnswer:
         """Make the preview of one recording of `owner`; its bytes are not checked.
 
         Raises:

@@ -114,15 +114,22 @@ async def find_preview(db: Connection, blob_id: uuid.UUID) -> RecordingPreviewRo
 
 async def record_begin(db: Connection, blob_id: uuid.UUID, *, key: str) -> bool:
     """Record that the preview of a blob is being made, and the key of its object; False if it was deleted."""
-    values = {"state": RecordingPreviewState.making.value, "key": key, "version": VERSION, "size_bytes": None}
+    values = {"state": RecordingPreviewState.making.value, "key": key, "version": VERSION}
+    values |= {"size_bytes": None, "thumbnail": None}
     is_alive = recording_preview.c.state != RecordingPreviewState.deleted.value
     return await _write(db, blob_id, values, where=is_alive)
 
 
-async def record_ready(db: Connection, blob_id: uuid.UUID, *, key: str, size_bytes: int) -> bool:
-    """Record that the object is written; False if another job has begun since, or the preview or blob is deleted."""
-    values = {"state": RecordingPreviewState.ready.value, "size_bytes": size_bytes, "reason": None}
-    values["temporary_failures"] = 0
+async def record_ready(
+    db: Connection, blob_id: uuid.UUID, *, key: str, size_bytes: int, thumbnail: bytes | None
+) -> bool:
+    """Record that the object is written; `thumbnail` is a JPEG for lists.
+
+    Returns:
+        False if another job has begun since, or the preview or blob is deleted.
+    """
+    values = {"state": RecordingPreviewState.ready.value, "size_bytes": size_bytes, "thumbnail": thumbnail}
+    values |= {"reason": None, "temporary_failures": 0}
     is_recorded = await _end(db, blob_id, key, values)
     if is_recorded:
         await service.publish_file_changes(db, [blob_id])
@@ -146,6 +153,7 @@ async def _end(db: Connection, blob_id: uuid.UUID, key: str, values: dict[str, o
 async def mark_deleted(db: Connection, blob_id: uuid.UUID) -> None:
     """Mark a preview as deleted: it is not made again by itself, and garbage collection deletes its object."""
     values = {"state": RecordingPreviewState.deleted.value, "version": VERSION, "size_bytes": None, "reason": None}
+    values["thumbnail"] = None
     await _write(db, blob_id, values)
     await service.publish_file_changes(db, [blob_id])
 

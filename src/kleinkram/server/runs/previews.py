@@ -1,9 +1,10 @@
 """Previews of missions: of each action, those of the latest run that is done and has any."""
 
+import base64
 import datetime
 import uuid
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, column, func, select, true
@@ -19,11 +20,13 @@ from kleinkram.contract.previews import (
     MissionPictures,
     MissionPreview,
     MissionPreviews,
+    MissionThumbnail,
     preview_kind,
 )
 from kleinkram.contract.runs import ActionRef, RunState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
+from kleinkram.server.access.visible import visible_files
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
@@ -32,7 +35,16 @@ from kleinkram.server.runs.launch import inputs_fingerprint
 from kleinkram.server.runs.project_results import PresentInput, present_inputs
 from kleinkram.server.runs.queries import ACTION_NAME, visible_runs
 from kleinkram.server.runs.service import UNREADABLE
-from kleinkram.server.tables import action, action_version, blob, project, run, run_artifact
+from kleinkram.server.tables import (
+    action,
+    action_version,
+    blob,
+    file,
+    project,
+    recording_preview,
+    run,
+    run_artifact,
+)
 
 _IS_PICTURE = rf"\.({'|'.join(PICTURE_ENDINGS)})$"
 
@@ -55,14 +67,17 @@ async def list_mission_previews(db: Connection, actor: Actor, *, mission_id: uui
 async def get_mission_pictures(
     context: AppContext, actor: Actor, *, mission_ids: Sequence[uuid.UUID]
 ) -> MissionPictures:
-    """Return the first picture of each visible mission that has one, and record for each project that it was viewed.
+    """Return a picture of each visible mission that has one, and record for each project that it was viewed.
 
-    Two statements for any number of missions.
+    Three statements for any number of missions.
     """
     async with context.database.begin() as db:
         rows = (await db.execute(_first_pictures(actor, mission_ids))).all()
-        names = {row.project_id: row.project_name for row in rows}
-        counts = Counter(row.project_id for row in rows)
+        others = set(mission_ids) - {row.mission_id for row in rows}
+        thumbnails = (await db.execute(_thumbnails(actor, others))).all() if others else []
+        shown = [*rows, *thumbnails]
+        names = {row.project_id: row.project_name for row in shown}
+        counts = Counter(row.project_id for row in shown)
         events = [
             Event("project.preview", "project", project_id, names[project_id], project_id, after={"missions": count})
             for project_id, count in counts.items()
@@ -79,8 +94,24 @@ async def get_mission_pictures(
                 expires_at=expires_at,
             )
             for row in rows
-        ]
+        ],
+        thumbnails=[
+            MissionThumbnail(
+                mission_id=row.mission_id, file_id=row.file_id, jpeg=base64.b64encode(row.thumbnail).decode()
+            )
+            for row in thumbnails
+        ],
     )
+
+
+def _thumbnails(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return a thumbnail of each mission whose recordings have one: that of the largest of them."""
+    columns = (file.c.mission_id, file.c.id.label("file_id"), recording_preview.c.thumbnail)
+    of_project = (project.c.id.label("project_id"), project.c.name.label("project_name"))
+    stmt = visible_files(actor).with_only_columns(*columns, *of_project, maintain_column_froms=True)
+    stmt = stmt.join(recording_preview, recording_preview.c.blob_id == file.c.blob_id)
+    stmt = stmt.where(among(file.c.mission_id, mission_ids), recording_preview.c.thumbnail.is_not(None))
+    return stmt.distinct(file.c.mission_id).order_by(file.c.mission_id, blob.c.size_bytes.desc(), file.c.id)
 
 
 def _first_pictures(actor: Actor, mission_ids: Sequence[uuid.UUID]) -> Select[Any]:

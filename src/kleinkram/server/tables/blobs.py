@@ -122,6 +122,8 @@ recording_preview = sa.Table(
     # The version of its contents; an earlier one is made again.
     sa.Column("version", sa.Integer, nullable=False),
     sa.Column("size_bytes", sa.BigInteger),
+    # A small JPEG for lists, if a camera was recorded.
+    sa.Column("thumbnail", sa.LargeBinary),
     sa.Column("reason", sa.Text),
     # In succession, for want of time, memory or the store: after the first one, it is made once more.
     sa.Column("temporary_failures", sa.Integer, nullable=False, server_default="0"),
@@ -129,6 +131,7 @@ recording_preview = sa.Table(
     sa.UniqueConstraint("store_id", "key"),
     sa.CheckConstraint("state IN ('making', 'ready', 'failed', 'deleted')", name="state"),
     sa.CheckConstraint("state <> 'ready' OR (key IS NOT NULL AND size_bytes IS NOT NULL)", name="ready"),
+    sa.CheckConstraint("octet_length(thumbnail) <= 32768", name="thumbnail"),
     # To find the objects to be deleted.
     sa.Index(
         "ix_recording_preview_deleted",

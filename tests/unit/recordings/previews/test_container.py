@@ -25,6 +25,7 @@ from kleinkram.recordings.previews import (
     container,
     preview_max_bytes,
     read_preview,
+    representative_thumbnail,
 )
 from kleinkram.recordings.previews.container import encode
 from kleinkram.recordings.previews.size_limit import encode_within
@@ -86,6 +87,17 @@ def _assert_same(one: Any, other: Any) -> None:
 def test_everything_is_read_back_exactly() -> None:
     preview = _preview()
     _assert_same(read_preview(encode(preview)), preview)
+
+
+def test_the_picture_that_stands_for_a_recording_is_in_the_middle_of_its_busiest_camera() -> None:
+    preview = _preview()
+    (strip,) = preview.cameras
+    rare = CameraStrip("/rare", 2, (Thumbnail(T0, 4, 3, b"rare"),))
+    empty = CameraStrip("/empty", 5000, ())
+    assert representative_thumbnail(encode(replace(preview, cameras=(rare, empty, strip)))) == strip.thumbnails[20]
+    assert representative_thumbnail(encode(replace(preview, cameras=(empty,)))) is None
+    with pytest.raises(PreviewUnreadable):
+        representative_thumbnail(encode(preview)[:200])
 
 
 @pytest.mark.parametrize("max_bytes", [5_000_000, 400_000, 100_000, 20_000, 3_000, 300])

@@ -12,6 +12,7 @@ import type { PreviewArtifact } from "@/features/runs/queries";
 type Schemas = components["schemas"];
 export type MissionPreview = Schemas["MissionPreview"];
 export type MissionPicture = Schemas["MissionPicture"];
+export type MissionThumbnail = Schemas["MissionThumbnail"];
 
 /** The most missions that the server takes at once. */
 const MOST = 200;
@@ -38,11 +39,15 @@ export function nameOf({ title, path }: Pick<MissionPreview, "title" | "path">):
 }
 
 const pictureOf = batched(async (missionIds) => {
-  const { items } = await call(api.POST("/api/v1/missions/pictures", { body: { mission_ids: [...missionIds] } }));
-  return new Map(items.map((item) => [item.mission_id, item]));
+  const { items, thumbnails } = await call(api.POST("/api/v1/missions/pictures", { body: { mission_ids: [...missionIds] } }));
+  return new Map<string, MissionPicture | MissionThumbnail>([...thumbnails, ...items].map((item) => [item.mission_id, item]));
 }, MOST);
 
-/** The first picture of a mission, and a small copy of it. */
+function idOf(picture: MissionPicture | MissionThumbnail): string {
+  return "jpeg" in picture ? picture.file_id : picture.artifact_id;
+}
+
+/** The first picture of a mission, or one that a camera recorded; and a small copy of it. */
 export function useThumbnail(missionId: () => string, isEnabled: () => boolean) {
   const { me } = useMe();
   const { data: picture } = useQuery({
@@ -52,8 +57,8 @@ export function useThumbnail(missionId: () => string, isEnabled: () => boolean) 
     staleTime: FRESH_MS,
   });
   const { data: bytes } = useQuery({
-    queryKey: computed(() => ["thumbnails", picture.value?.artifact_id ?? ""]),
-    queryFn: ({ signal }) => thumbnailOf(picture.value as MissionPicture, pictureOf, signal),
+    queryKey: computed(() => ["thumbnails", picture.value === null || picture.value === undefined ? "" : idOf(picture.value)]),
+    queryFn: ({ signal }) => thumbnailOf(picture.value as MissionPicture | MissionThumbnail, pictureOf, signal),
     enabled: () => isEnabled() && Boolean(picture.value),
     staleTime: "static", // artifacts never change
   });

@@ -1,5 +1,5 @@
 // Small copies of pictures, so that a long list keeps few bytes. They are drawn by an <img>, which executes nothing of an SVG.
-import type { MissionPicture } from "./queries";
+import type { MissionPicture, MissionThumbnail } from "./queries";
 import { asPicture } from "@/features/runs/preview";
 
 /** The longer side in device pixels. */
@@ -28,12 +28,15 @@ async function copyOf(picture: Blob): Promise<Blob> {
   }
 }
 
+type Renew = (missionId: string) => Promise<MissionPicture | MissionThumbnail | undefined>;
+
 /** Returns a small copy of a picture. Where its URL has expired, `renew` returns the picture with another one. */
-export async function thumbnailOf(picture: MissionPicture, renew: (missionId: string) => Promise<MissionPicture | undefined>, signal: AbortSignal): Promise<Blob> {
+export async function thumbnailOf(picture: MissionPicture | MissionThumbnail, renew: Renew, signal: AbortSignal): Promise<Blob> {
+  if ("jpeg" in picture) return new Blob([Uint8Array.from(atob(picture.jpeg), (letter) => letter.charCodeAt(0))], { type: "image/jpeg" });
   let answer = await fetch(picture.url, { signal, credentials: "omit" });
   if (!answer.ok) {
     const renewed = await renew(picture.mission_id);
-    if (renewed?.artifact_id === picture.artifact_id) answer = await fetch(renewed.url, { signal, credentials: "omit" });
+    if (renewed !== undefined && "url" in renewed && renewed.artifact_id === picture.artifact_id) answer = await fetch(renewed.url, { signal, credentials: "omit" });
   }
   if (!answer.ok) throw new Error(`the store answered ${answer.status}`);
   return copyOf(asPicture(await answer.blob(), picture.path));
