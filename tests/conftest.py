@@ -29,7 +29,7 @@ CASES = RECORDINGS.parent / "cases"
 # and their servers at once make each other time out.
 _BROWSERS = "system/web/"
 _BROWSER_GROUPS = 2
-_LONGEST_BROWSERS = (
+_BROWSER_FILES = (
     "test_every_page.py",
     "test_contents.py",
     "test_mission_viewer.py",
@@ -42,6 +42,16 @@ _LONGEST_BROWSERS = (
     "test_library.py",
     "test_scene.py",
     "test_checks.py",
+    "test_account.py",
+    "test_viewer_panels.py",
+    "test_missions.py",
+    "test_viewer.py",
+    "test_search.py",
+    "test_missions_changed.py",
+    "test_unsaved_input.py",
+    "test_metrics.py",
+    "test_isolation.py",
+    "test_every_page_pictures.py",
 )
 # The longest of the others start first. Those that use the CPU alternate with those that mostly wait, for rates,
 # timeouts or leases.
@@ -82,17 +92,19 @@ settings.register_profile("soak", deadline=None, suppress_health_check=[HealthCh
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 
-@pytest.hookimpl(tryfirst=True)
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """For `--dist loadgroup`: a worker runs the tests of a group, of a file or two groups of browsers, one by one."""
+    name = _file_name(item)
+    if _needs_browser(name):
+        name = f"browsers-{_browser_order(name) % _BROWSER_GROUPS}"
+    item.add_marker(pytest.mark.xdist_group(name))
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long rounds have no timeout: a history that is cut off in the middle looks like a flaky test."""
     # Workers take groups in this order; the long ones come first, so that no worker has one left at the end.
     items.sort(key=_start_order)
-    with_browsers = list(dict.fromkeys(filter(_needs_browser, map(_file_name, items))))
     for item in items:
-        name = _file_name(item)
-        place = with_browsers.index(name) % _BROWSER_GROUPS if name in with_browsers else None
-        # For `--dist loadgroup`: a worker runs the tests of a group one after the other.
-        item.add_marker(pytest.mark.xdist_group(name if place is None else f"browsers-{place}"))
         if item.get_closest_marker("soak") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(0))
 
@@ -105,11 +117,15 @@ def _needs_browser(name: str) -> bool:
     return name.startswith(_BROWSERS)
 
 
+def _browser_order(name: str) -> int:
+    place = name.removeprefix(_BROWSERS)
+    return _BROWSER_FILES.index(place) if place in _BROWSER_FILES else len(_BROWSER_FILES)
+
+
 def _start_order(item: pytest.Item) -> tuple[int, int]:
     name = _file_name(item)
     if _needs_browser(name):
-        place = name.removeprefix(_BROWSERS)
-        return 0, _LONGEST_BROWSERS.index(place) if place in _LONGEST_BROWSERS else len(_LONGEST_BROWSERS)
+        return 0, _browser_order(name)
     if name in _LONGEST:
         return 1, _LONGEST.index(name)
     return 2, not name.startswith("system/")
