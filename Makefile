@@ -53,7 +53,7 @@ test-unit: setup
 
 test-all: setup
 	@$(BIN)/python -m tests.requirements
-	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 4 --dist loadgroup --no-loadscope-reorder --timeout=300 -o faulthandler_timeout=1000
+	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 4 --dist loadfile --no-loadscope-reorder --timeout=300 -o faulthandler_timeout=1000
 
 # KLEINKRAM_TEST_KUBERNETES names the folder where a Kubernetes is built, once.
 soak: setup

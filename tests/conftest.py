@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
 
 from tests import slurm_cluster
 from tests.requirements import missing, need
@@ -92,12 +94,18 @@ settings.register_profile("soak", deadline=None, suppress_health_check=[HealthCh
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 
-def pytest_itemcollected(item: pytest.Item) -> None:
-    """For `--dist loadgroup`: a worker runs the tests of a group, of a file or two groups of browsers, one by one."""
-    name = _file_name(item)
-    if _needs_browser(name):
-        name = f"browsers-{_browser_order(name) % _BROWSER_GROUPS}"
-    item.add_marker(pytest.mark.xdist_group(name))
+class _Scheduling(LoadFileScheduling):
+    """A worker runs the tests of a file one after the other, and those of one group of files that need a browser."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        name = _file_name(nodeid)
+        return f"browsers {_browser_order(name) % _BROWSER_GROUPS}" if _needs_browser(name) else name
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> _Scheduling:
+    """Return the scheduler of `--dist loadfile`, with the groups of browsers."""
+    return _Scheduling(config, log)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -109,8 +117,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(0))
 
 
-def _file_name(item: pytest.Item) -> str:
-    return item.nodeid.partition("::")[0].removeprefix("tests/")
+def _file_name(nodeid: str) -> str:
+    return nodeid.partition("::")[0].removeprefix("tests/")
 
 
 def _needs_browser(name: str) -> bool:
@@ -123,7 +131,7 @@ def _browser_order(name: str) -> int:
 
 
 def _start_order(item: pytest.Item) -> tuple[int, int]:
-    name = _file_name(item)
+    name = _file_name(item.nodeid)
     if _needs_browser(name):
         return 0, _browser_order(name)
     if name in _LONGEST:
