@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 
 from tests import slurm_cluster
@@ -94,18 +93,17 @@ settings.register_profile("soak", deadline=None, suppress_health_check=[HealthCh
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 
-class _Scheduling(LoadFileScheduling):
-    """A worker runs the tests of a file one after the other, and those of one group of files that need a browser."""
-
-    def _split_scope(self, nodeid: str) -> str:
-        name = _file_name(nodeid)
-        return f"browsers {_browser_order(name) % _BROWSER_GROUPS}" if _needs_browser(name) else name
-
-
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> _Scheduling:
-    """Return the scheduler of `--dist loadfile`, with the groups of browsers."""
-    return _Scheduling(config, log)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Return the scheduler of `--dist loadfile`: a worker runs the tests of a group, not only of a file, in turn."""
+    scheduling = LoadFileScheduling(config, log)
+    scheduling._split_scope = _group
+    return scheduling
+
+
+def _group(nodeid: str) -> str:
+    name = _file_name(nodeid)
+    return f"browsers {_browser_order(name) % _BROWSER_GROUPS}" if _needs_browser(name) else name
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
