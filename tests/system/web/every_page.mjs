@@ -102,7 +102,7 @@ async function runAxe(page) {
   let violations = [];
   for (let tries = 0; tries < MAX_TRIES; tries += 1) {
     violations = await page.evaluate(async (runOnly) => {
-      const result = await globalThis.axe.run(document, { runOnly, resultTypes: ["violations"] });
+      const result = await globalThis.axe.run(document, { runOnly, resultTypes: ["violations"], preload: false });
       return result.violations.map(({ id, nodes }) => `${id} ${nodes[0]?.html} ${nodes[0]?.failureSummary}`);
     }, RULES);
     if (violations.length === 0) break;

@@ -72,7 +72,7 @@ await other.getByRole("alert").first().waitFor(); // without a reload: the serve
 results.revoked = await other.getByRole("alert").first().innerText();
 
 // Names and metadata are shown as text in every view of the project.
-const countMarkupElements = () => page.evaluate(() => document.querySelectorAll("main img, main script, main b, main i, main u, main a[href=x]").length);
+const countMarkupElements = () => page.evaluate(() => document.querySelectorAll("main :not([data-thumbnail]) > img, main script, main b, main i, main u, main a[href=x]").length);
 results.markupElements = [await countMarkupElements()];
 for (const name of ["Missions", "Statistics", "Metadata fields", "Activity", "Settings"]) {
   const tab = page.getByRole("navigation", { name: "Views of the project" }).getByRole("link", { name });

@@ -1,4 +1,4 @@
-// Previews: a mission without any, whose page shows those of a run once it ends; the gallery with its large view, by
+// Previews: a mission with nothing but a recording, whose page shows those of a run once it ends; the gallery with its large view, by
 // mouse and keys; an outdated one; and the first pictures in the lists of missions, also after their URLs expired.
 // Prints the results as JSON. Arguments: the folder with playwright-core and axe-core, the browser, a sign-in link, the
 // server's address, the folder for screenshots.
@@ -23,12 +23,13 @@ const project = page.url();
 
 // A mission without previews; a run that another window starts shows its previews without a reload.
 const night = await missionLink("night").getAttribute("href");
-await loaded(1, "[data-thumbnail] img");
-results.before = { project: await page.locator("[data-index]", { hasText: "day" }).locator("[data-thumbnail]").count() };
+await loaded(2, "[data-thumbnail] img");
+const shownForDay = () => page.locator("[data-index]", { hasText: "day" }).locator("[data-thumbnail] img").evaluateAll((all) => all.map(({ alt }) => alt));
+results.before = { project: await shownForDay() };
 await page.goto(address);
 await rowsLoaded();
-await loaded(1, "[data-thumbnail] img");
-results.before.home = await page.locator("[data-index]", { hasText: "day" }).locator("[data-thumbnail]").count();
+await loaded(2, "[data-thumbnail] img");
+results.before.home = await shownForDay();
 await page.goto(project);
 await missionLink("day").click();
 const none = page.locator("[data-no-previews]");

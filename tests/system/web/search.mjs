@@ -82,7 +82,7 @@ await waitForResults('mission:"Wet *"');
 await page.getByRole("link", { name: /^Missions/ }).click();
 await page.waitForURL((url) => url.searchParams.get("tab") === "missions");
 await page.locator("[data-results] [data-row-link]").first().waitFor();
-results.markup = { rows: await rows(), elements: await page.locator("[data-results] img, [data-results] b").count() };
+results.markup = { rows: await rows(), elements: await page.locator("[data-results] :not([data-thumbnail]) > img, [data-results] b").count() };
 await page.getByRole("link", { name: /^Topics/ }).click();
 await page.waitForURL((url) => url.searchParams.get("tab") === "topics");
 await page.getByRole("link", { name: "/imu/data" }).first().waitFor();

@@ -6,11 +6,13 @@ from typing import Any
 
 import pytest
 
-from kleinkram.client import connect
-from tests.acceptance.conftest import Terminal
+from kleinkram.client import Client, connect
+from kleinkram.contract.recording_previews import RecordingPreviewState
+from tests.acceptance.conftest import Terminal, wait_until
 from tests.system.cluster import Cluster
 from tests.system.web.conftest import RunBrowser
 
+_RECORDED = "Picture of a camera"
 _MARKUP = "Sheet <img src=x onerror=alert(1)>"
 _SCRIPT = f"""\
 # /// script
@@ -70,7 +72,7 @@ def test_previews_are_shown_at_the_mission_and_in_lists(
     assert results["overflowing"] == []
     assert results["executed"] == [], "markup was run"
     assert "kleinkram/preview" in results["none"]
-    assert results["before"] == {"home": 0, "project": 0}
+    assert results["before"] == {"home": [_RECORDED], "project": [_RECORDED]}
     gallery = results["gallery"]
     assert gallery["first"] == [_MARKUP, "Speed over time", "Frame 0", "Frame 1"]
     assert gallery["others"] == ["Track", "Topics"]
@@ -107,7 +109,7 @@ def _create_objects(cluster: Cluster, terminal: Terminal, tmp_path: Path) -> Non
     script.write_text(_SCRIPT)
     terminal.run("project", "create", "Alps")
     terminal.run("action", "create", script, "-p", "Alps")
-    with connect(cluster.runtime_info()["url"], (cluster.data_dir / "owner-token").read_text().strip()) as client:
+    with _connected(cluster) as client:
         alps = client.projects.get("Alps")
         for number in range(70):
             client.missions.create(f"planned {number:02}", project=alps)
@@ -119,3 +121,13 @@ def _create_objects(cluster: Cluster, terminal: Terminal, tmp_path: Path) -> Non
     (recording,) = (tmp_path / "day").rglob("*.mcap")
     later = shutil.copy(recording, tmp_path / "later.mcap")
     terminal.run("upload", "-p", "Alps", "-m", "night", "--wait", later)
+    with _connected(cluster) as client:
+        (day,) = [file for file in client.files.list(project="Alps", mission="day") if file.path.endswith(".mcap")]
+        wait_until(
+            lambda: client.files.preview_state(day.id).state is RecordingPreviewState.ready,
+            "the preview of the recording",
+        )
+
+
+def _connected(cluster: Cluster) -> Client:
+    return connect(cluster.runtime_info()["url"], (cluster.data_dir / "owner-token").read_text().strip())
