@@ -31,5 +31,5 @@ export default defineConfig({
     ),
   },
   // Files share the modules they import: a third of the CPU time. None may leave state in a module.
-  test: { environment: "happy-dom", include: ["src/**/*.test.ts"], restoreMocks: true, isolate: false },
+  test: { environment: "happy-dom", include: ["src/**/*.test.ts"], restoreMocks: true, isolate: false, testTimeout: 30_000 },
 });

@@ -1,5 +1,5 @@
 import { flushPromises, mount } from "@vue/test-utils";
-import { expect, it, vi } from "vitest";
+import { afterEach, expect, it, vi } from "vitest";
 import { effectScope, nextTick, ref } from "vue";
 import { useClock } from "./clock";
 import { Previews } from "./previews";
@@ -68,6 +68,8 @@ function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, p
   }
   return { clock, requests, using };
 }
+
+afterEach(() => vi.useRealTimers());
 
 async function settled(): Promise<void> {
   await nextTick();
@@ -142,7 +144,6 @@ it("shows the preview of a large recording, and reads only what is around the pl
   expect(requests[1]).toEqual({ fromNs: 100n * SECOND, toNs: 150n * SECOND });
   expect(requests).toHaveLength(2);
   expect(unread.value.map(({ fromNs }) => fromNs)).toEqual([0n, 150n * SECOND + 1n, 315n * SECOND + 1n]);
-  vi.useRealTimers();
 });
 
 it.each([
