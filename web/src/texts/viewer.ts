@@ -80,7 +80,7 @@ export const texts = {
   mostCurves: (count: number) => `A plot has at most ${count} curves.`,
   unread: (size: number) => `In the grey parts, some curves were not read. They need ${formatSize(size)} in all.`,
   readAll: (size: number) => `Read all ${formatSize(size)}`,
-  rough: "In the grey parts, curves are the extremes of the preview. Zoom in to read the messages.",
+  rough: "In the grey parts, curves come from the preview, which may not have every extreme. Zoom in to read the messages.",
   points: (messages: number, isWhole: boolean) =>
     isWhole ? `${counted(messages, "message")}, all drawn` : `${counted(messages, "message")}, drawn as minimum and maximum`,
   zoom: "Click to go to a time. Drag to zoom in, double-click to reset.",

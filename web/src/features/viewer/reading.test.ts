@@ -146,6 +146,19 @@ it("shows the preview of a large recording, and reads only what is around the pl
   expect(unread.value.map(({ fromNs }) => fromNs)).toEqual([0n, 150n * SECOND + 1n, 315n * SECOND + 1n]);
 });
 
+it("reads no more than the limit of what is zoomed in", async () => {
+  vi.useFakeTimers({ toFake: ["setTimeout", "clearTimeout"] });
+  const { using, requests } = viewerAt(300n * SECOND, { ...LARGE, preview: { series: () => Promise.resolve(BINS) } });
+  const zoomed = ref<{ fromNs: bigint; toNs: bigint } | null>(null);
+  using(() => useCurves(() => series, () => 0, () => zoomed.value));
+  await settled();
+  zoomed.value = { fromNs: 250n * SECOND, toNs: 400n * SECOND }; // two unread parts, of which one request needs 1 GiB
+  await settled();
+  vi.runAllTimers();
+  await settled();
+  expect(requests.slice(1)).toEqual([{ fromNs: 250n * SECOND, toNs: 298n * SECOND - 1n }]);
+});
+
 it.each([
   ["has no preview", undefined],
   ["has a damaged preview", { series: () => Promise.reject(new ReadFailure("index_damaged")) }],

@@ -135,8 +135,11 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
 
   function readWithin(span: Span): Promise<boolean> {
     return attempt(async (readPart) => {
+      let bytesLeft = PLOT_BYTES;
       for (const file of files.value) {
-        for (const part of partsWithin(unreadParts(file, segments.value), span)) await readPart(file, part, PLOT_BYTES);
+        for (const part of partsWithin(unreadParts(file, segments.value), span)) {
+          if (bytesLeft > 0) bytesLeft -= (await readPart(file, part, bytesLeft)).wholeBytes;
+        }
       }
     });
   }
