@@ -44,6 +44,8 @@ export type MessagesAnswer<P extends ProductName> = Omit<ReadMessages, "messages
 
 export class RecordingReader {
   private worker: WorkerLike | null = null;
+  /** Requested while the worker starts, for its first request for one. */
+  private firstAddress: Promise<Address> | null = null;
   private opened: Promise<Answer<"open">> | null = null;
   private readonly waiting = new Map<number, Waiting>();
   private lastId = 0;
@@ -96,6 +98,8 @@ export class RecordingReader {
   private started(): WorkerLike {
     if (this.worker !== null) return this.worker;
     const worker = this.options.start();
+    this.firstAddress = this.options.address();
+    this.firstAddress.catch(() => undefined); // the worker hears of it once it asks
     worker.onmessage = ({ data }) => this.receive(worker, data);
     worker.onerror = (event) => {
       event.preventDefault(); // shown as a ReadFailure, not in the console
@@ -122,8 +126,10 @@ export class RecordingReader {
   }
 
   private async renew(worker: WorkerLike): Promise<void> {
+    const address = this.firstAddress ?? this.options.address();
+    this.firstAddress = null;
     try {
-      worker.postMessage({ type: "address", id: 0, address: await this.options.address(), reason: "link_refused" });
+      worker.postMessage({ type: "address", id: 0, address: await address, reason: "link_refused" });
     } catch (thrown) {
       const reason: FailureCode = thrown instanceof ReadFailure ? thrown.code : "link_refused";
       worker.postMessage({ type: "address", id: 0, address: null, reason });

@@ -13,8 +13,8 @@ import { blobTexts, contentTexts } from "@/texts/states";
 type Change = components["schemas"]["FileUpdate"];
 
 const PAGE = 500;
-/** Topics of one file that are shown; a recording with more of them is a fault. */
-const MAX_TOPICS = 5_000;
+/** As many topics as the server reads of one file. */
+const MAX_TOPICS = 20_000;
 const FAST_POLL_MS = 2_000;
 const ALL_RIGHTS = ["READ", "CREATE", "WRITE", "DELETE"] as const;
 

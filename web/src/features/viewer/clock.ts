@@ -18,7 +18,9 @@ const NS_PER_MS = 1e6;
 /** A longer silence is skipped while playing. */
 const SKIPPED_NS = 2_000_000_000n;
 /** A frame that comes later than this did not play: the window was hidden. */
-const MAX_FRAME_MS = 250;
+const MAX_FRAME_MS = 1_000;
+/** More frames than these take time from reading and drawing, and show no more: cameras record 10 to 30 a second. */
+const LEAST_FRAME_MS = 30;
 /** The play head waits for panels that have been reading for so long. */
 const LATE_MS = 400;
 
@@ -77,6 +79,7 @@ export function useClock(span: Span, recorded: readonly Span[], startNs: bigint)
 
   function play(nowMs: number): void {
     frame = requestAnimationFrame(play);
+    if (nowMs - lastMs < LEAST_FRAME_MS) return;
     const elapsedMs = Math.min(nowMs - lastMs, MAX_FRAME_MS);
     lastMs = nowMs;
     if (isLate(performance.now())) return;

@@ -23,8 +23,24 @@ export async function addressOf(fileId: string, purpose: "download" | "preview")
   return { url: link.url, expiresAtMs: Date.parse(link.expires_at) };
 }
 
-function start(): WorkerLike {
+/** Workers that loaded their program before somebody needs them. */
+const prepared: Worker[] = [];
+
+/** Starts workers ahead of the first readers: to load their program takes as long as to learn what there is to read. */
+export function prepareReaders(count: number): void {
+  while (prepared.length < count) {
+    const worker = createWorker();
+    worker.onerror = () => prepared.splice(prepared.indexOf(worker), 1); // the reader that starts another one reports it
+    prepared.push(worker);
+  }
+}
+
+function createWorker(): Worker {
   return new Worker(new URL("@/recordings/worker.ts", import.meta.url), { type: "module", name: "recording" });
+}
+
+function start(): WorkerLike {
+  return prepared.pop() ?? createWorker();
 }
 
 /** What the reader must know of a file. */
