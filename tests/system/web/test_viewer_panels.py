@@ -16,6 +16,7 @@ from tests.acceptance.conftest import wait_until
 from tests.system.cluster import Cluster
 from tests.system.web import image_samples as samples
 from tests.system.web.conftest import RunBrowser
+from tests.system.web.h264_samples import h264_frames
 from tests.system.web.image_samples import VideoFrame
 
 _AUV = "mcap/SO_bag/SO_bag_0.mcap"
@@ -229,7 +230,8 @@ def _videos(encoded: dict[str, Any]) -> dict[str, list[VideoFrame]]:
     }
     assert "vp9" in encoded["videos"], "Chromium encodes VP9"
     vp9 = videos["/video/vp9"]
-    return {**videos, "/video/cut": vp9[1:20], "/video/odd": [VideoFrame(frame.data, "mpeg2") for frame in vp9[:3]]}
+    h264 = [VideoFrame(base64.b64encode(frame).decode(), "h264") for frame in h264_frames(_VIDEO_FRAMES)]
+    return {**videos, "/video/h264": h264, "/video/cut": vp9[1:20], "/video/odd": [VideoFrame(frame.data, "mpeg2") for frame in vp9[:3]]}
 
 
 def _video_steps(topic: str) -> dict[str, Any]:
