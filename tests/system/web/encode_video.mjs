@@ -5,7 +5,8 @@ import { launchBrowser } from "./chromium.mjs";
 const [web, executablePath, , address, count] = process.argv.slice(2);
 const browser = await launchBrowser(web, executablePath);
 const page = await browser.newPage();
-await page.goto(`${address}/`);
+await page.goto(`${address}/sign-in`);
+await page.getByRole("button", { name: "Sign in" }).waitFor(); // the page goes nowhere else then
 
 /** Each picture shows its number: eight bars, white for 1, the highest bit first; below, a red and a blue half. */
 const result = await page.evaluate(async (frames) => {

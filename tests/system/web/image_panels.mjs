@@ -45,10 +45,13 @@ export function imagePanels({ page, open, checkPage }) {
   }
 
   async function depth(file, time) {
-    const topics = ["/depth/mm", "/depth/m", "/depth/png", "/depth/rvl", "/thermal"];
+    await open(file, time, "image:KEY@/thermal");
+    const thermal = { "/thermal": await stateOf("/thermal") };
+    const noValue = await valueAt("/thermal", 12, 6);
+    const topics = ["/depth/mm", "/depth/m", "/depth/png", "/depth/rvl"];
     await open(file, time, ...topics.map((topic) => `image:KEY@${topic}`));
-    const states = await statesOf(topics);
-    const values = [await valueAt("/depth/mm", 40, 30), await valueAt("/depth/m", 40, 30), await valueAt("/depth/m", 32, 22), await valueAt("/thermal", 12, 6)];
+    const states = { ...thermal, ...(await statesOf(topics)) };
+    const values = [await valueAt("/depth/mm", 40, 30), await valueAt("/depth/m", 40, 30), await valueAt("/depth/m", 32, 22), noValue];
     const panel = panelOf("/depth/mm");
     await panel.getByRole("button", { name: "Settings" }).click();
     await panel.locator('[data-setting="map"]').selectOption("grey");

@@ -7,7 +7,7 @@ import base64
 import io
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,7 +63,7 @@ def box_left(number: int) -> int:
     return 4 + number
 
 
-def write_images(path: Path, videos: dict[str, Sequence[VideoFrame]]) -> Path:
+def write_images(path: Path, videos: Mapping[str, Sequence[VideoFrame]]) -> Path:
     """Write the recording; `videos` by topic."""
     with path.open("wb") as file:
         writer = McapWriter(file)

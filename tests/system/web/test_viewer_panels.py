@@ -26,6 +26,8 @@ _S = 1_000_000_000
 _EARTH_RADIUS_M = 6_378_137
 _SHOWN = 10
 _VIDEO_FRAMES = 60
+# The beginning of a key frame of H.265 (Main profile, level 3.1): its parameters, and the head of its first slice.
+_H265_KEY = base64.b64encode(bytes.fromhex("0000000142010101600000030090000003000003005da00000012601")).decode()
 # Coefficients of red, green and blue, of x⁰ first. Source: A. Mikhailov, "Turbo, An Improved Rainbow Colormap", 2019.
 _TURBO = (
     (0.13572138, 4.61539260, -42.66032258, 132.13108234, -152.94239396, 59.28637943),
@@ -231,14 +233,20 @@ def _videos(encoded: dict[str, Any]) -> dict[str, list[VideoFrame]]:
     assert "vp9" in encoded["videos"], "Chromium encodes VP9"
     vp9 = videos["/video/vp9"]
     h264 = [VideoFrame(base64.b64encode(frame).decode(), "h264") for frame in h264_frames(_VIDEO_FRAMES)]
-    return {**videos, "/video/h264": h264, "/video/cut": vp9[1:20], "/video/odd": [VideoFrame(frame.data, "mpeg2") for frame in vp9[:3]]}
+    return {
+        **videos,
+        "/video/h264_pcm": h264,
+        "/video/h265": [VideoFrame(_H265_KEY, "h265")],
+        "/video/cut": vp9[1:20],
+        "/video/unknown": [VideoFrame(frame.data, "mpeg2") for frame in vp9[:3]],
+    }
 
 
 def _video_steps(topic: str) -> dict[str, Any]:
     """Where a video is opened, between two key frames, and the keys that are pressed then."""
     numbers = {"ArrowRight": 57, ".": 58, ",": 57, "ArrowLeft": 47}
     keys = [(key, str(_image_ns(number))) for key, number in numbers.items()]
-    start = 0 if topic in ("/video/cut", "/video/odd") else 47
+    start = 0 if topic in ("/video/cut", "/video/unknown", "/video/h265") else 47
     return {"topic": topic, "time": str(_image_ns(start)), "keys": keys}
 
 
@@ -266,7 +274,7 @@ def _assert_depth(shown: dict[str, Any]) -> None:
     turbo = [np.floor(np.clip(np.polynomial.Polynomial(row)(x), 0, 1) * 255 + 0.5) for row in _TURBO]
     turbo_table = np.stack([*turbo, np.full(256, 255)], axis=-1)
     millimetres, metres = samples.depth_mm(_SHOWN), samples.depth_m(_SHOWN)
-    expected = {
+    expected: dict[str, tuple[Any, Any]] = {
         "/depth/mm": (millimetres, turbo_table),
         "/depth/png": (millimetres, turbo_table),
         "/depth/rvl": (millimetres, turbo_table),
@@ -333,11 +341,15 @@ def _assert_damaged(steps: list[dict[str, Any]]) -> None:
 
 
 def _assert_videos(videos: dict[str, Any], decodable: list[str]) -> None:
-    cut, odd = videos.pop("/video/cut"), videos.pop("/video/odd")
-    assert cut[0]["failure"].startswith("Decoding begins with a key frame, and there is none shortly before this time")
-    assert odd[0]["failure"] == "The preview does not support this image format (video, mpeg2)"
+    cut, unknown, h265 = (videos.pop(f"/video/{name}")[0]["failure"] for name in ("cut", "unknown", "h265"))
+    assert cut.startswith("Decoding begins with a key frame, and there is none shortly before this time")
+    assert unknown == "The preview does not support this image format (video, mpeg2)"
+    # A slice without its content, where a browser has the codec.
+    codec = "This browser does not support the codec of this video (h265, hev1.1.6.L93.90)"
+    assert h265.startswith("This image is not readable") if "h265" in decodable else h265 == codec
+    assert "vp9" in decodable
     for topic, states in videos.items():
-        name = topic.removeprefix("/video/")
+        name = topic.removeprefix("/video/").removesuffix("_pcm")
         if name not in decodable:
             assert states[0]["failure"].startswith("This browser does not support the codec of this video"), topic
             continue

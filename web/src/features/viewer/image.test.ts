@@ -1,14 +1,15 @@
 import { expect, it } from "vitest";
 import { pixelAt, valueAt, valueText } from "./image/pixel_values";
 import { annotationTopicFor, colourMapOf, imageSettings, pictureTable, shownRange } from "./image/settings";
-import { panelOf, panelText } from "./layout";
+import { panelOf, panelText, type Series } from "./layout";
 import { withOption } from "./scene/settings";
 import { pictureValues } from "@/recordings/pictures/values";
 
 const series = { recording: "k", topic: "/depth", fields: [] };
 
 it("keeps its settings in the address", () => {
-  const changed = [["map", "viridis"], ["least", "0.5"], ["greatest", "-3"], ["annotations", "/a=b,c"]].reduce((one, [name = "", value = ""]) => withOption(one, name, value), series as typeof series & { fields: string[] });
+  const options = [["map", "viridis"], ["least", "0.5"], ["greatest", "-3"], ["annotations", "/a=b,c"]] as const;
+  const changed = options.reduce<Series>((one, [name, value]) => withOption(one, name, value), series);
   const text = panelText({ kind: "image", isWide: false, series: [changed] });
   expect(imageSettings(panelOf(text)?.series[0])).toEqual({ colourMap: "viridis", least: 0.5, greatest: -3, annotations: "/a=b,c" });
   expect(imageSettings(withOption(series, "annotations", "")).annotations).toBe("");

@@ -67,7 +67,10 @@ export function mimeOf(data: Uint8Array): string | null {
  */
 export function checkCompressed({ mime, data }: Compressed): void {
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
-  if (mime === "image/webp") return checkWebp(view);
+  if (mime === "image/webp") {
+    checkWebp(view);
+    return;
+  }
   if (mime === "image/png") {
     if (data.length < 24) throw new ReadFailure("picture_unreadable", "it is cut off");
     checkSize(view.getUint32(16), view.getUint32(20));

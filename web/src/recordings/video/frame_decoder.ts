@@ -12,7 +12,7 @@ export interface CodedFrame {
 /** Coded frames that wait in the decoder. */
 const MAX_QUEUE = 8;
 /** Where nothing was decoded for so long, the decoder waits for further frames, and is told that there are none. */
-const PATIENCE_MS = 400;
+const IDLE_TIMEOUT_MS = 400;
 const FLUSH_TIMEOUT_MS = 10_000;
 
 /** @throws ReadFailure video_insecure, video_missing, video_codec: why the browser does not decode the codec. */
@@ -115,7 +115,7 @@ export class FrameDecoder {
   /** Wait for the decoder; returns false where nothing happened. */
   private change(): Promise<boolean> {
     return new Promise((resolve) => {
-      const timer = setTimeout(() => resolve(false), PATIENCE_MS);
+      const timer = setTimeout(() => resolve(false), IDLE_TIMEOUT_MS);
       this.wake = () => {
         clearTimeout(timer);
         resolve(true);

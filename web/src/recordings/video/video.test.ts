@@ -112,10 +112,8 @@ describe("a video", () => {
   beforeEach(() => {
     Object.assign(Decoder, { made: [], openFrames: 0, longestQueue: 0, isDelayed: false });
     vi.stubGlobal("VideoDecoder", Decoder);
-    vi.stubGlobal("EncodedVideoChunk", class {
-      constructor(init: object) {
-        Object.assign(this, init);
-      }
+    vi.stubGlobal("EncodedVideoChunk", function (this: object, init: object) {
+      Object.assign(this, init);
     });
     vi.stubGlobal("createImageBitmap", ({ timestamp }: { timestamp: number }) => Promise.resolve({ width: 4, height: 2, timestamp }));
   });

@@ -63,8 +63,9 @@ function drawLines(context: CanvasRenderingContext2D, { kind, places, outlines, 
   context.lineWidth = Math.max(thickness, leastThickness);
   const isClosed = kind === "loop";
   const [first = null] = outlines;
-  if (outlines.length === 1 && kind !== "segments") return paint(context, pathOf(places, isClosed), fill, first);
-  if (kind !== "segments") paint(context, pathOf(places, isClosed), fill, null);
+  const isOneColour = outlines.length === 1;
+  if (kind !== "segments") paint(context, pathOf(places, isClosed), fill, isOneColour ? first : null);
+  if (kind !== "segments" && isOneColour) return;
   const step = kind === "segments" ? 4 : 2;
   const count = places.length / 2;
   // Each line has the colour of the point where it begins.
