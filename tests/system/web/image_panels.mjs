@@ -86,7 +86,7 @@ export function imagePanels({ page, open, checkPage }) {
     const topics = ["/bad/raw", "/bad/compressed", "/front/image"];
     const steps = [];
     for (const time of times) {
-      await open(file, time, ...topics.map((topic) => `image:KEY@${topic}`));
+      await open(file, time, "image:KEY@/bad/raw", "image:KEY@/bad/compressed", "image:KEY@/front/image,annotations");
       steps.push(await statesOf(topics));
       if (steps.length === 2) await checkPage("viewer-damaged-images");
     }
