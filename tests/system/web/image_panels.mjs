@@ -81,16 +81,19 @@ export function imagePanels({ page, open, checkPage }) {
     return { states, other, none: await stateOf("/front/image") };
   }
 
-  /** What each of the first messages of topics shows, stepping from one to the next beside a good camera. */
+  /** What each of the first messages of topics shows beside a good camera. The last one comes by a step from the one before. */
   async function damaged(file, times) {
     const topics = ["/bad/raw", "/bad/compressed", "/front/image"];
     const steps = [];
-    for (const time of times) {
+    const last = times.at(-1);
+    for (const time of times.slice(0, -1)) {
       await open(file, time, "image:KEY@/bad/raw", "image:KEY@/bad/compressed", "image:KEY@/front/image,annotations");
       steps.push(await statesOf(topics));
       if (steps.length === 2) await checkPage("viewer-damaged-images");
     }
-    return steps;
+    await page.keyboard.press(".");
+    for (const topic of topics) await panelOf(topic).locator(`[data-log-time="${last}"]`).waitFor();
+    return [...steps, await statesOf(topics)];
   }
 
   /** What the panel of a video shows at a time, and after each of some keys, which lead to the frame of a time. */
