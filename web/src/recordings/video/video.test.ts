@@ -142,6 +142,21 @@ describe("a video", () => {
     expect([Decoder.made.length, Decoder.openFrames]).toEqual([2, 0]);
   });
 
+  it("closes a decoder that is not used", async () => {
+    vi.useFakeTimers({ shouldAdvanceTime: true });
+    const session = await opened();
+    await at(session, 12);
+    await vi.advanceTimersByTimeAsync(9_000);
+    await at(session, 13);
+    await vi.advanceTimersByTimeAsync(9_000);
+    expect(Decoder.made.map(({ state }) => state)).toEqual(["configured"]);
+    await vi.advanceTimersByTimeAsync(2_000);
+    expect(Decoder.made.map(({ state }) => state)).toEqual(["closed"]);
+    await at(session, 14);
+    expect(Decoder.made).toHaveLength(2);
+    vi.useRealTimers();
+  });
+
   it("says why there is no picture", async () => {
     const session = await opened();
     await expect(at(session, 5)).rejects.toMatchObject({ code: "video_no_key_frame" });

@@ -20,11 +20,15 @@ interface Frame {
 interface Running {
   decoder: FrameDecoder;
   untilNs: bigint;
+  /** Closes the decoder, unless further frames are requested. */
+  closing: ReturnType<typeof setTimeout> | undefined;
 }
 
 const NAMES: Readonly<Record<string, VideoFormat>> = { hevc: "h265", avc: "h264" };
 /** Decoders at once; a browser has a limited number of them. */
 const MAX_DECODERS = 4;
+/** A decoder that is not used for so long is closed. */
+const CLOSE_AFTER_MS = 10_000;
 /** Where more frames follow the ones that are decoded, it is checked whether a key frame is nearer. */
 const FORWARD_NS = 1_000_000_000n;
 
@@ -45,6 +49,7 @@ export class VideoReader {
    */
   async picture(message: Message, signal?: AbortSignal): Promise<DrawnPicture> {
     this.signal = signal;
+    clearTimeout(this.running.get(message.channel.topic)?.closing);
     const { channel: { topic }, logTimeNs } = message;
     const value = this.decode(message);
     const format = formatOf(value);
@@ -86,9 +91,12 @@ export class VideoReader {
 
   private async decoded(topic: string, decoder: FrameDecoder, frames: readonly Frame[]): Promise<ImageBitmap> {
     this.running.delete(topic);
-    this.running.set(topic, { decoder, untilNs: frames.at(-1)?.timeNs ?? 0n }); // as the youngest
+    const running: Running = { decoder, untilNs: frames.at(-1)?.timeNs ?? 0n, closing: undefined };
+    this.running.set(topic, running); // as the youngest
     for (const oldest of [...this.running.keys()].slice(0, -MAX_DECODERS)) this.end(oldest);
-    return decoder.decode(frames.map(({ data, codec }) => ({ data, isKey: codec !== null })), () => this.check());
+    const picture = await decoder.decode(frames.map(({ data, codec }) => ({ data, isKey: codec !== null })), () => this.check());
+    running.closing = setTimeout(() => this.end(topic), CLOSE_AFTER_MS);
+    return picture;
   }
 
   /** The frames of a part of the time, up to the limits. @throws ReadFailure video_no_key_frame, where it needs more; damage. */
@@ -114,6 +122,7 @@ export class VideoReader {
   }
 
   private end(topic: string): void {
+    clearTimeout(this.running.get(topic)?.closing);
     this.running.get(topic)?.decoder.close();
     this.running.delete(topic);
   }
