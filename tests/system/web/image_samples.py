@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from google.protobuf import timestamp_pb2
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
+from google.protobuf.message_factory import GetMessages
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -63,8 +66,8 @@ def box_left(number: int) -> int:
     return 4 + number
 
 
-def write_images(path: Path, videos: Mapping[str, Sequence[VideoFrame]]) -> Path:
-    """Write the recording; `videos` by topic."""
+def write_images(path: Path, videos: Mapping[str, Sequence[VideoFrame]], protobuf_video: Sequence[bytes]) -> Path:
+    """Write the recording; `videos` by topic in JSON, and one of H.264 in protobuf."""
     with path.open("wb") as file:
         writer = McapWriter(file)
         messages = _Messages(writer)
@@ -79,6 +82,7 @@ def write_images(path: Path, videos: Mapping[str, Sequence[VideoFrame]]) -> Path
             for number, frame in enumerate(frames):
                 content = {"timestamp": _stamp(number), "frame_id": "", "data": frame.data, "format": frame.format}
                 messages.add(topic, "foxglove.CompressedVideo", number, content)
+        _add_protobuf(messages, protobuf_video)
         messages.write()
         writer.finish()
     return path
@@ -96,8 +100,15 @@ class _Messages:
         if topic not in self._channels:
             schema = self._writer.add_schema(message_type, "jsonschema", b"{}")
             self._channels[topic] = self._writer.add_channel(topic, schema, "json")
-        time_ns = START_NS + number * STEP_NS + delay_ns
-        self._messages.append((time_ns, self._channels[topic], json.dumps(content).encode()))
+        self.add_bytes(self._channels[topic], number, json.dumps(content).encode(), delay_ns)
+
+    def add_protobuf_channel(self, topic: str, message_type: str, descriptors: bytes) -> int:
+        return self._writer.add_channel(
+            topic, self._writer.add_schema(message_type, "protobuf", descriptors), "protobuf"
+        )
+
+    def add_bytes(self, channel: int, number: int, payload: bytes, delay_ns: int = 0) -> None:
+        self._messages.append((START_NS + number * STEP_NS + delay_ns, channel, payload))
 
     def write(self) -> None:
         for time_ns, channel, payload in sorted(self._messages):
@@ -165,6 +176,33 @@ def _add_annotated(messages: _Messages, number: int) -> None:
     results = [{"hypothesis": {"class_id": "dog", "score": 0.9}}]
     detections = {"header": {"stamp": _stamp(number)}, "detections": [{"bbox": bbox, "results": results}]}
     messages.add("/rear/boxes", "vision_msgs/msg/Detection2DArray", number, detections, DELAY_NS)
+
+
+def _add_protobuf(messages: _Messages, frames: Sequence[bytes]) -> None:
+    """Add frames of foxglove.CompressedVideo as the library of protobuf writes them."""
+    file = FileDescriptorProto(name="video.proto", package="foxglove", syntax="proto3")
+    file.dependency.append("google/protobuf/timestamp.proto")
+    message_type = file.message_type.add(name="CompressedVideo")
+    kinds = FieldDescriptorProto
+    fields = {"frame_id": kinds.TYPE_STRING, "data": kinds.TYPE_BYTES, "format": kinds.TYPE_STRING}
+    message_type.field.add(
+        name="timestamp",
+        number=1,
+        type=kinds.TYPE_MESSAGE,
+        label=kinds.LABEL_OPTIONAL,
+        type_name=".google.protobuf.Timestamp",
+    )
+    for number, (name, kind) in enumerate(fields.items(), 2):
+        message_type.field.add(name=name, number=number, type=kind, label=kinds.LABEL_OPTIONAL)
+    timestamp = FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(timestamp)
+    descriptors = FileDescriptorSet(file=[timestamp, file])
+    video = GetMessages([timestamp, file])["foxglove.CompressedVideo"]
+    channel = messages.add_protobuf_channel(
+        "/video/h264_pcm", "foxglove.CompressedVideo", descriptors.SerializeToString()
+    )
+    for number, frame in enumerate(frames):
+        messages.add_bytes(channel, number, video(data=frame, format="h264").SerializeToString())
 
 
 def _damaged_raw() -> list[dict[str, Any]]:

@@ -45,7 +45,7 @@ def test_panels_show_what_the_sdk_reads(
     terminal = shared_cluster.terminal
     terminal.run("project", "create", "Lakes")
     encoded = run_browser("encode_video.mjs", shared_cluster, _VIDEO_FRAMES)
-    images = samples.write_images(tmp_path / "images.mcap", _videos(encoded))
+    images = samples.write_images(tmp_path / "images.mcap", _videos(encoded), h264_frames(_VIDEO_FRAMES))
     terminal.run("upload", "-p", "Lakes", "-m", "day", "--create", "--wait", auv, drive, turtles, images)
 
     def files() -> dict[str, dict[str, Any]]:
@@ -68,7 +68,7 @@ def test_panels_show_what_the_sdk_reads(
         **ids,
         "times": {name: str(time_ns) for name, time_ns in times.items()},
         "damagedTimes": [str(_image_ns(number)) for number in range(len(samples.BAD_RAW) + 2)],
-        "videos": [_video_steps(topic) for topic in _videos(encoded)],
+        "videos": [_video_steps(topic) for topic in (*_videos(encoded), "/video/h264_pcm")],
     }
     results = run_browser("viewer_panels.mjs", shared_cluster, pictures, json.dumps(request))
 
@@ -232,10 +232,8 @@ def _videos(encoded: dict[str, Any]) -> dict[str, list[VideoFrame]]:
     }
     assert "vp9" in encoded["videos"], "Chromium encodes VP9"
     vp9 = videos["/video/vp9"]
-    h264 = [VideoFrame(base64.b64encode(frame).decode(), "h264") for frame in h264_frames(_VIDEO_FRAMES)]
     return {
         **videos,
-        "/video/h264_pcm": h264,
         "/video/h265": [VideoFrame(_H265_KEY, "h265")],
         "/video/cut": vp9[1:20],
         "/video/unknown": [VideoFrame(frame.data, "mpeg2") for frame in vp9[:3]],

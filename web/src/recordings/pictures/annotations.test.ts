@@ -1,5 +1,8 @@
+import { parse } from "@foxglove/rosmsg";
+import { MessageWriter } from "@foxglove/rosmsg2-serialization";
 import { describe, expect, it } from "vitest";
 import { annotationsOf, isAnnotationType, type PathAnnotation, type TextAnnotation } from "./annotations";
+import { decoderOf } from "../decoding/decoder";
 
 const RED = { r: 1, g: 0, b: 0, a: 1 };
 const HALF_BLUE = { r: 0, g: 0, b: 1, a: 0.5 };
@@ -58,6 +61,83 @@ describe("foxglove.ImageAnnotations", () => {
     const { annotations, omittedPoints } = annotationsOf(FOXGLOVE, { points: [{ type: 1, points }, { type: 1, points }, { type: 1, points }] });
     expect(annotations.map((one) => (one as PathAnnotation).places.length / 2)).toEqual([8_000, 2_000]);
     expect(omittedPoints).toBe(14_000);
+  });
+});
+
+/** Definitions of vision_msgs and foxglove_msgs of ROS 2, with the fields that are used. */
+const DETECTIONS = `std_msgs/Header header
+Detection2D[] detections
+================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================
+MSG: vision_msgs/Detection2D
+ObjectHypothesisWithPose[] results
+BoundingBox2D bbox
+================
+MSG: vision_msgs/ObjectHypothesisWithPose
+ObjectHypothesis hypothesis
+================
+MSG: vision_msgs/ObjectHypothesis
+string class_id
+float64 score
+================
+MSG: vision_msgs/BoundingBox2D
+Pose2D center
+float64 size_x
+float64 size_y
+================
+MSG: vision_msgs/Pose2D
+Point2D position
+float64 theta
+================
+MSG: vision_msgs/Point2D
+float64 x
+float64 y
+`;
+const SHAPES = `PointsAnnotation[] points
+================
+MSG: foxglove_msgs/PointsAnnotation
+builtin_interfaces/Time timestamp
+uint8 UNKNOWN=0
+uint8 type
+Point2[] points
+Color outline_color
+Color[] outline_colors
+float64 thickness
+================
+MSG: foxglove_msgs/Point2
+float64 x
+float64 y
+================
+MSG: foxglove_msgs/Color
+float64 r
+float64 g
+float64 b
+float64 a
+`;
+
+describe("messages of ROS 2", () => {
+  const decoded = (definition: string, name: string, message: object) => {
+    const data = new MessageWriter(parse(definition, { ros2: true })).writeMessage(message);
+    const decode = decoderOf({ name, encoding: "ros2msg", messageEncoding: "cdr", definition: new TextEncoder().encode(definition) });
+    return annotationsOf(name, decode(data));
+  };
+
+  it("have the same annotations", () => {
+    const bbox = { center: { position: { x: 4, y: 5 }, theta: 0 }, size_x: 2, size_y: 4 };
+    const detections = [{ results: [{ hypothesis: { class_id: "dog", score: 0.5 } }], bbox }];
+    const boxes = decoded(DETECTIONS, "vision_msgs/msg/Detection2DArray", { header: { stamp: { sec: 9, nanosec: 500_000_000 }, frame_id: "" }, detections });
+    expect(boxes.stampSeconds).toBe(9.5);
+    expect((boxes.annotations[0] as PathAnnotation).places).toEqual([3, 3, 5, 3, 5, 7, 3, 7]);
+    expect((boxes.annotations[1] as TextAnnotation).text).toBe("dog 0.50");
+    const points = [{ timestamp: { sec: 4, nanosec: 0 }, type: 2, points: [{ x: 1, y: 2 }, { x: 3, y: 4 }], outline_color: RED, outline_colors: [], thickness: 2 }];
+    expect(decoded(SHAPES, "foxglove_msgs/msg/ImageAnnotations", { points })).toEqual({
+      stampSeconds: 4,
+      omittedPoints: 0,
+      annotations: [{ kind: "loop", places: [1, 2, 3, 4], outlines: ["rgb(255 0 0 / 1)"], fill: null, thickness: 2 }],
+    });
   });
 });
 
