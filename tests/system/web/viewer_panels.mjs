@@ -1,10 +1,11 @@
-// The viewer's panels of positions, states, rows and frames: opens each at a time, reads what it shows, and uses it.
+// The viewer's panels of positions, states, rows, frames and images: opens each at a time, reads what it shows, and uses it.
 // Prints the results as JSON. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's
 // address, the folder for screenshots, and what to open as JSON.
 import { openBrowser } from "./browsing.mjs";
+import { imagePanels } from "./image_panels.mjs";
 
 const [web, executablePath, link, address, pictures, request] = process.argv.slice(2);
-const { auv, drive, turtles, times } = JSON.parse(request);
+const { auv, drive, turtles, images, times, damagedTimes, videos } = JSON.parse(request);
 const { results, openPage, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 const { context, page } = await openPage();
 await context.grantPermissions(["clipboard-read", "clipboard-write"]);
@@ -130,4 +131,11 @@ await checkPage(page, "viewer-frames");
 await page.getByRole("button", { name: "world" }).click();
 await page.waitForFunction((before) => document.querySelector("[data-translation]")?.textContent !== before, results.turtleFrames.translation);
 results.selected = { translation: (await texts("[data-translation]"))[0], address: decodeURIComponent(page.url()) };
+
+const panels = imagePanels({ page, open, checkPage: (name) => checkPage(page, name) });
+results.depth = await panels.depth(images, times.images);
+results.annotated = await panels.annotated(images, times.images);
+results.damaged = await panels.damaged(images, damagedTimes);
+results.videos = {};
+for (const video of videos) results.videos[video.topic] = await panels.video(images, video);
 await printResults();

@@ -27,6 +27,14 @@ export const READ_AHEAD = 4 * MIB;
 export const MAX_BYTES_UNCONFIRMED = 32 * MIB;
 /** The largest picture, in pixels. */
 export const MAX_PIXELS = 64 * 1_000_000;
+/** The same for compressed pictures of 16 bits, which are decompressed here. */
+export const MAX_GREY_PIXELS = 16 * 1_000_000;
+/** How far before a frame of a video its key frame is searched: frames, bytes and time. */
+export const MAX_VIDEO_FRAMES = 900;
+export const MAX_VIDEO_BYTES = 32 * MIB;
+export const MAX_VIDEO_NS = 30_000_000_000n;
+/** Points of annotations that are drawn over a picture. */
+export const MAX_ANNOTATION_POINTS = 10_000;
 /** Points of one message that are drawn; of more, every n-th. */
 export const MAX_POINTS = 300_000;
 /** Cells of an occupancy grid that are drawn. */

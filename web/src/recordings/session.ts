@@ -7,8 +7,10 @@ import { ReadFailure } from "./failures";
 import { cost, type Message, type OnDamage, type Piece, type Recording, type Schema, type Span } from "./formats/recording";
 import { MAX_DAMAGED, MAX_MESSAGES_AT_ONCE, READ_AHEAD } from "./limits";
 import { MessageSearch } from "./message_search";
-import { makers, type MessageRequest, type MessagesRequest, type ProductName, type ReadMessage } from "./products/products";
+import { makers, type MessageRequest, type MessagesRequest, type ProductName, type Products, type ReadMessage } from "./products/products";
 import type { CurvesRequest, DamagedPart, DrawnCurves, FoundMessage, OfferedFields, Opened, ReadMessages, SliceProgress } from "./protocol";
+import { isVideoType } from "./video/bitstream";
+import { VideoReader } from "./video/video_reader";
 
 /** Receives curves and progress while something is read; `signal` cancels. */
 export interface Observer {
@@ -27,9 +29,12 @@ const DENSE = 0.5;
 
 export class Session {
   private readonly decoders = new Map<Schema, Decode>();
+  private readonly video: VideoReader;
   private searchOfAll: MessageSearch | null = null;
 
-  constructor(readonly recording: Recording) {}
+  constructor(readonly recording: Recording) {
+    this.video = new VideoReader(recording, ({ channel, data }) => this.decoder(channel.schema)(data));
+  }
 
   opened(): Opened {
     const topics = this.recording.topics.map(({ name, schema }) => ({ name, messageType: schema.name }));
@@ -38,12 +43,12 @@ export class Session {
   }
 
   /** Find one message. @throws ReadFailure where it is damaged, or all that could be it. */
-  async message({ topic, which, atNs, product, shownNs, maxBytes }: MessageRequest): Promise<FoundMessage> {
+  async message({ topic, which, atNs, product, shownNs, maxBytes }: MessageRequest, signal?: AbortSignal): Promise<FoundMessage> {
     const noticed = new Damages(this.span(topic).fromNs);
     const { message, searchedToNs } = await this.search.find(topic, which, atNs, { maxBytes, onDamage: noticed.note });
     if (message === null && noticed.first !== null) throw noticed.first;
     const isShown = message !== null && message.logTimeNs === shownNs;
-    return { message: message === null ? null : await this.made(message, isShown ? null : product), searchedToNs, damaged: noticed.parts };
+    return { message: message === null ? null : await this.made(message, isShown ? null : product, signal), searchedToNs, damaged: noticed.parts };
   }
 
   /** The first messages of a span, as far as the limits reach; damaged ones are left out. */
@@ -121,11 +126,15 @@ export class Session {
     return this.searchOfAll;
   }
 
-  private async made(message: Message, product: ProductName | null): Promise<ReadMessage> {
-    const { logTimeNs, publishTimeNs, sequence, data, channel } = message;
-    const make = product === null ? null : makers[product];
-    const made = make === null ? null : await make(message, () => this.decoder(channel.schema)(data));
-    return { logTimeNs, publishTimeNs, sequence, sizeBytes: data.length, product: made };
+  private async made(message: Message, product: ProductName | null, signal?: AbortSignal): Promise<ReadMessage> {
+    const { logTimeNs, publishTimeNs, sequence, data } = message;
+    return { logTimeNs, publishTimeNs, sequence, sizeBytes: data.length, product: product === null ? null : await this.product(message, product, signal) };
+  }
+
+  private product(message: Message, name: ProductName, signal?: AbortSignal): Products[ProductName] | Promise<Products[ProductName]> {
+    const { channel: { schema }, data } = message;
+    if (name === "picture" && isVideoType(schema.name)) return this.video.picture(message, signal);
+    return makers[name](message, () => this.decoder(schema)(data));
   }
 
   private decodeOrNote(message: Message, noticed: Damages): Value | null {

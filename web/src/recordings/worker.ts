@@ -40,7 +40,7 @@ scope.onmessage = ({ data: message }) => {
 const handlers: {
   [K in Exclude<RequestKind, "open">]: (session: Session, request: Requests[K]["request"], observer: Observer) => Promise<Answer<K>>;
 } = {
-  message: (session, request) => session.message(request),
+  message: (session, request, { signal }) => session.message(request, signal),
   messages: (session, request, observer) => session.messages(request, observer),
   fields: (session, { topic }) => session.fields(topic),
   curves: (session, request, observer) => session.curves(request, observer),

@@ -1,6 +1,7 @@
 // Texts of the preview of recordings.
 import { counted, formatSize } from "@/components/format";
 import type { FailureCode } from "@/recordings/failures";
+import { MAX_VIDEO_FRAMES, MAX_VIDEO_NS } from "@/recordings/limits";
 import type { DamagedPart } from "@/recordings/protocol";
 
 interface FailureText {
@@ -46,6 +47,16 @@ export const failures: Readonly<Record<FailureCode, FailureText>> = {
   picture_unreadable: { title: (detail) => `This image is not readable${INSIDE(detail)}`, remedy: "Try another time. Other images can be intact." },
   picture_too_large: { title: (detail) => `This image is too large to display (${detail})`, remedy: DOWNLOAD },
   pixels_unknown: { title: (detail) => `The preview does not support this image format${INSIDE(detail)}`, remedy: DOWNLOAD },
+  video_insecure: {
+    title: () => "Browsers decode video on pages with HTTPS only, or at localhost",
+    remedy: "Open this page with HTTPS, or download the file.",
+  },
+  video_missing: { title: () => "This browser cannot decode video frames, because it has no WebCodecs", remedy: "Use a current version of Chrome, Edge, Firefox or Safari, or download the file." },
+  video_codec: { title: (detail) => `This browser does not support the codec of this video${INSIDE(detail)}`, remedy: "Try another browser, or download the file and open it with other tools." },
+  video_no_key_frame: {
+    title: () => `Decoding begins with a key frame, and there is none shortly before this time (${MAX_VIDEO_FRAMES} frames or ${MAX_VIDEO_NS / 1_000_000_000n} s)`,
+    remedy: "Try a later time.",
+  },
   not_spatial: { title: (detail) => `Messages of this type are not shown in 3D${INSIDE(detail)}`, remedy: "Choose another topic." },
   cloud_unreadable: { title: (detail) => `These points are not readable${INSIDE(detail)}`, remedy: "Try another time. Other messages can be intact." },
   pose_unreadable: { title: () => "This message has no pose of finite numbers", remedy: "Try another time. Other messages can be intact." },

@@ -67,7 +67,6 @@ export const texts = {
   atTime: (seconds: string) => `at ${seconds}`,
   imageOf: (topic: string, seconds: string, width: number, height: number) => `Image of ${topic} at ${seconds}, ${width} by ${height} pixels`,
   size: (width: number, height: number) => `${width} × ${height}`,
-  range: (least: string, greatest: string) => `black: ${least}, white: ${greatest}`,
 
   plotOf: (curves: string) => `Plot over time: ${curves}`,
   plotLoading: "Reading",

@@ -1,8 +1,11 @@
-/** The picture in a message: compressed (JPEG, PNG, WebP) or raw. */
+/** The picture in a message: compressed (JPEG, PNG, WebP), raw, or compressed depth. */
 
 import { ReadFailure } from "../failures";
-import { isFields, isNumbers, type Value } from "../decoding/decoder";
+import { isFields, type Value } from "../decoding/decoder";
+import { bytesOf } from "../geometry/values";
+import { compressedDepthOf, type CompressedDepth } from "./compressed_depth";
 import { checkSize, type RawPicture } from "./pixels";
+import { isVideoType } from "../video/bitstream";
 
 export interface Compressed {
   kind: "compressed";
@@ -10,16 +13,17 @@ export interface Compressed {
   data: Uint8Array;
 }
 
-export type Picture = Compressed | ({ kind: "raw" } & RawPicture);
+export type Picture = Compressed | ({ kind: "raw" } & RawPicture) | ({ kind: "depth" } & CompressedDepth);
 
 const NAME = /^(sensor_msgs[/.](msg[/.])?|foxglove(_msgs)?[/.](msg[/.])?)(CompressedImage|Image|RawImage)$/;
-/** Depth as image_transport compresses it: a PNG behind 12 bytes of settings. */
-const DEPTH_PREFIX = 12;
 const MARKER = 0xff;
+const WEBP_HEADER_BYTES = 30;
+/** The bits of a side in WebP. */
+const SIDE = 0x3fff;
 
 /** Whether messages of a type are pictures that are shown here. */
 export function isPictureType(messageType: string | null): boolean {
-  return messageType !== null && NAME.test(messageType);
+  return messageType !== null && (NAME.test(messageType) || isVideoType(messageType));
 }
 
 /** Return the picture of a message.
@@ -36,19 +40,20 @@ export function pictureOf(message: Value): Picture {
     const isBigEndian = message.is_bigendian === 1 || message.is_bigendian === true;
     return { kind: "raw", width, height, step, encoding: message.encoding, isBigEndian, data };
   }
-  return compressed(data, typeof message.format === "string" ? message.format : "");
+  const format = typeof message.format === "string" ? message.format : "";
+  const depth = compressedDepthOf(format, data);
+  return depth === null ? compressed(data, format) : { kind: "depth", ...depth };
 }
 
 function compressed(data: Uint8Array, format: string): Compressed {
-  for (const start of [0, DEPTH_PREFIX]) {
-    const bytes = data.subarray(start);
-    const mime = mimeOf(bytes);
-    if (mime !== null) return { kind: "compressed", mime, data: bytes };
-  }
-  throw new ReadFailure("pixels_unknown", format.slice(0, 60));
+  const mime = mimeOf(data);
+  if (data.length === 0) throw new ReadFailure("picture_unreadable", "0 bytes");
+  if (mime === null) throw new ReadFailure("pixels_unknown", format.slice(0, 60));
+  return { kind: "compressed", mime, data };
 }
 
-function mimeOf(data: Uint8Array): string | null {
+/** Return the format by the first bytes; null for others than JPEG, PNG and WebP. */
+export function mimeOf(data: Uint8Array): string | null {
   const begins = (...bytes: number[]): boolean => bytes.every((byte, place) => data[place] === byte);
   if (begins(0xff, 0xd8, 0xff)) return "image/jpeg";
   if (begins(0x89, 0x50, 0x4e, 0x47)) return "image/png";
@@ -62,7 +67,10 @@ function mimeOf(data: Uint8Array): string | null {
  */
 export function checkCompressed({ mime, data }: Compressed): void {
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
-  if (mime === "image/webp") return; // at most 16383 pixels a side, by its format
+  if (mime === "image/webp") {
+    checkWebp(view);
+    return;
+  }
   if (mime === "image/png") {
     if (data.length < 24) throw new ReadFailure("picture_unreadable", "it is cut off");
     checkSize(view.getUint32(16), view.getUint32(20));
@@ -80,20 +88,16 @@ export function checkCompressed({ mime, data }: Compressed): void {
   throw new ReadFailure("picture_unreadable", "it does not say its size");
 }
 
+/** Source: RFC 9649 (WebP), 2.7.1 (extended), 3 (lossless); RFC 6386 (VP8), 9.1. */
+function checkWebp(view: DataView): void {
+  if (view.byteLength < WEBP_HEADER_BYTES) throw new ReadFailure("picture_unreadable", "it is cut off");
+  const kind = view.getUint8(15);
+  if (kind === 0x58) checkSize(1 + (view.getUint32(24, true) & 0xffffff), 1 + (view.getUint32(26, true) >>> 8)); // VP8X
+  else if (kind === 0x4c) checkSize(1 + (view.getUint16(21, true) & SIDE), 1 + ((view.getUint32(21, true) >>> 14) & SIDE)); // VP8L
+  else checkSize(view.getUint16(26, true) & SIDE, view.getUint16(28, true) & SIDE);
+}
+
 /** Start-of-frame markers, which are C0 to CF but for tables (C4, CC) and what is reserved (C8). */
 function isFrame(marker: number): boolean {
   return marker >= 0xc0 && marker <= 0xcf && marker !== 0xc4 && marker !== 0xc8 && marker !== 0xcc;
-}
-
-/** Bytes as such, as numbers, or in base64 (JSON). */
-function bytesOf(value: Value | undefined): Uint8Array | null {
-  if (value instanceof Uint8Array) return value;
-  if (isNumbers(value)) return new Uint8Array(value.buffer, value.byteOffset, value.byteLength);
-  if (Array.isArray(value)) return Uint8Array.from(value, (item) => (typeof item === "number" ? item : 0));
-  if (typeof value !== "string") return null;
-  try {
-    return Uint8Array.from(atob(value), (letter) => letter.charCodeAt(0));
-  } catch {
-    return null;
-  }
 }

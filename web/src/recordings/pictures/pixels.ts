@@ -1,10 +1,11 @@
-/** Raw pixels of sensor_msgs/Image and foxglove.RawImage, made into RGBA.
+/** Raw pixels of sensor_msgs/Image and foxglove.RawImage, made into RGBA; those of depth, made into numbers.
  *
  * Source: sensor_msgs/image_encodings.hpp for the encodings; ITU-R BT.601 (full range) for YUV, as ROS converts it.
  */
 
 import { ReadFailure } from "../failures";
 import { MAX_PIXELS } from "../limits";
+import { pictureValues, type PictureValues } from "./values";
 
 export interface RawPicture {
   width: number;
@@ -16,22 +17,30 @@ export interface RawPicture {
   data: Uint8Array;
 }
 
-export interface Pixels {
+export interface ColourPixels {
   width: number;
   height: number;
   rgba: Uint8ClampedArray<ArrayBuffer>;
-  /** The values that became black and white, where they were chosen by what the picture holds. */
-  range: [number, number] | null;
 }
 
-type Paint = (picture: RawPicture, rgba: Uint8ClampedArray) => [number, number] | null;
+export type Pixels = ColourPixels | PictureValues;
 
-interface Encoding {
+type Paint = (picture: RawPicture, rgba: Uint8ClampedArray) => void;
+type Get = (view: DataView, at: number, isLittleEndian: boolean) => number;
+
+interface ColourEncoding {
   bytesPerPixel: number;
   paint: Paint;
 }
 
-const ENCODINGS: Readonly<Record<string, Encoding>> = {
+/** One number a pixel, of which the reader chooses the colours. */
+interface ValueEncoding {
+  bytesPerPixel: number;
+  unit: PictureValues["unit"];
+  get: Get;
+}
+
+const ENCODINGS: Readonly<Record<string, ColourEncoding | ValueEncoding>> = {
   rgb8: channels(3, [0, 1, 2]),
   "8uc3": channels(3, [2, 1, 0]),
   bgr8: channels(3, [2, 1, 0]),
@@ -40,10 +49,10 @@ const ENCODINGS: Readonly<Record<string, Encoding>> = {
   "8uc4": channels(4, [2, 1, 0, 3]),
   mono8: channels(1, [0, 0, 0]),
   "8uc1": channels(1, [0, 0, 0]),
-  mono16: stretched(2, (view, at, little) => view.getUint16(at, little)),
-  "16uc1": stretched(2, (view, at, little) => view.getUint16(at, little)),
-  "16sc1": stretched(2, (view, at, little) => view.getInt16(at, little)),
-  "32fc1": stretched(4, (view, at, little) => view.getFloat32(at, little)),
+  mono16: { bytesPerPixel: 2, unit: null, get: (view, at, isLittleEndian) => view.getUint16(at, isLittleEndian) },
+  "16uc1": { bytesPerPixel: 2, unit: "mm", get: (view, at, isLittleEndian) => view.getUint16(at, isLittleEndian) },
+  "16sc1": { bytesPerPixel: 2, unit: null, get: (view, at, isLittleEndian) => view.getInt16(at, isLittleEndian) },
+  "32fc1": { bytesPerPixel: 4, unit: "m", get: (view, at, isLittleEndian) => view.getFloat32(at, isLittleEndian) },
   bayer_rggb8: bayer([0, 1, 1, 2]),
   bayer_bggr8: bayer([2, 1, 1, 0]),
   bayer_gbrg8: bayer([1, 2, 0, 1]),
@@ -54,7 +63,7 @@ const ENCODINGS: Readonly<Record<string, Encoding>> = {
   yuyv: yuv([0, 2], 1, 3),
 };
 
-/** Return the picture as RGBA. What measures no brightness (depth) is stretched from its least to its greatest value.
+/** Return the picture as RGBA, or as numbers where it has one of more than 8 bits for each pixel.
  *
  * @throws ReadFailure pixels_unknown, picture_too_large, picture_unreadable where bytes are missing.
  */
@@ -66,20 +75,21 @@ export function pixelsOf(picture: RawPicture): Pixels {
   checkSize(width, height);
   const row = width * encoding.bytesPerPixel;
   const step = picture.step === 0 ? row : picture.step;
-  if (step < row || (height - 1) * step + row > data.length) {
-    throw new ReadFailure("picture_unreadable", `${data.length} bytes for ${width} × ${height}`);
-  }
+  if (!(step >= row)) throw new ReadFailure("picture_unreadable", `rows of ${step} bytes for ${width} × ${height}`);
+  if ((height - 1) * step + row > data.length) throw new ReadFailure("picture_unreadable", `${data.length} bytes for ${width} × ${height}`);
+  if ("get" in encoding) return pictureValues(width, height, valuesOf({ ...picture, step }, encoding), encoding.unit);
   const rgba = new Uint8ClampedArray(width * height * 4);
-  return { width, height, rgba, range: encoding.paint({ ...picture, step }, rgba) };
+  encoding.paint({ ...picture, step }, rgba);
+  return { width, height, rgba };
 }
 
 /** @throws ReadFailure picture_too_large, or picture_unreadable where it has no size. */
-export function checkSize(width: number, height: number): void {
-  if (!(width > 0 && height > 0)) throw new ReadFailure("picture_unreadable", `${width} × ${height}`);
-  if (width * height > MAX_PIXELS) throw new ReadFailure("picture_too_large", `${width} × ${height}`);
+export function checkSize(width: number, height: number, maxPixels = MAX_PIXELS): void {
+  if (!(Number.isInteger(width) && Number.isInteger(height) && width > 0 && height > 0)) throw new ReadFailure("picture_unreadable", `${width} × ${height}`);
+  if (width * height > maxPixels) throw new ReadFailure("picture_too_large", `${width} × ${height}`);
 }
 
-function channels(bytesPerPixel: number, [red, green, blue, alpha]: readonly [number, number, number, number?]): Encoding {
+function channels(bytesPerPixel: number, [red, green, blue, alpha]: readonly [number, number, number, number?]): ColourEncoding {
   const paint: Paint = ({ width, height, step, data }, rgba) => {
     for (let y = 0, to = 0; y < height; y++) {
       for (let x = 0, from = y * step; x < width; x++, from += bytesPerPixel, to += 4) {
@@ -89,42 +99,21 @@ function channels(bytesPerPixel: number, [red, green, blue, alpha]: readonly [nu
         rgba[to + 3] = alpha === undefined ? 255 : (data[from + alpha] ?? 0);
       }
     }
-    return null;
   };
   return { bytesPerPixel, paint };
 }
 
-/** One value a pixel, stretched over all greys; zero and what is no number mean "not measured" and stay black. */
-function stretched(bytesPerPixel: number, get: (view: DataView, at: number, little: boolean) => number): Encoding {
-  const paint: Paint = ({ width, height, step, data, isBigEndian }, rgba) => {
-    const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
-    const values = new Float32Array(width * height);
-    let least = Infinity;
-    let greatest = -Infinity;
-    for (let y = 0, to = 0; y < height; y++) {
-      for (let x = 0; x < width; x++, to++) {
-        const value = get(view, y * step + x * bytesPerPixel, !isBigEndian);
-        values[to] = value;
-        if (value === 0 || !Number.isFinite(value)) continue;
-        if (value < least) least = value;
-        if (value > greatest) greatest = value;
-      }
-    }
-    const scale = greatest > least ? 255 / (greatest - least) : 0;
-    for (let from = 0, to = 0; from < values.length; from++, to += 4) {
-      const value = values[from] ?? 0;
-      const isMeasured = value !== 0 && Number.isFinite(value);
-      const grey = isMeasured ? (scale === 0 ? 255 : (value - least) * scale) : 0;
-      rgba[to] = rgba[to + 1] = rgba[to + 2] = grey;
-      rgba[to + 3] = 255;
-    }
-    return greatest >= least ? [least, greatest] : null;
-  };
-  return { bytesPerPixel, paint };
+function valuesOf({ width, height, step, data, isBigEndian }: RawPicture, { bytesPerPixel, get }: ValueEncoding): Float32Array<ArrayBuffer> {
+  const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
+  const values = new Float32Array(width * height);
+  for (let y = 0, to = 0; y < height; y++) {
+    for (let x = 0, from = y * step; x < width; x++, from += bytesPerPixel, to++) values[to] = get(view, from, !isBigEndian);
+  }
+  return values;
 }
 
 /** Each square of four takes its one red, one blue, and the mean of its greens; `pattern`: colour by place, row by row. */
-function bayer(pattern: readonly [number, number, number, number]): Encoding {
+function bayer(pattern: readonly [number, number, number, number]): ColourEncoding {
   const paint: Paint = ({ width, height, step, data }, rgba) => {
     for (let y = 0; y < height; y++) {
       const top = Math.max(0, Math.min(y - (y % 2), height - 2));
@@ -142,13 +131,12 @@ function bayer(pattern: readonly [number, number, number, number]): Encoding {
         rgba[to + 3] = 255;
       }
     }
-    return null;
   };
   return { bytesPerPixel: 1, paint };
 }
 
 /** Two pixels share four bytes: where their lights, and where the colour's u and v are. */
-function yuv(lights: readonly [number, number], uAt: number, vAt: number): Encoding {
+function yuv(lights: readonly [number, number], uAt: number, vAt: number): ColourEncoding {
   const paint: Paint = ({ width, height, step, data }, rgba) => {
     for (let y = 0, to = 0; y < height; y++) {
       for (let x = 0; x < width; x++, to += 4) {
@@ -162,7 +150,6 @@ function yuv(lights: readonly [number, number], uAt: number, vAt: number): Encod
         rgba[to + 3] = 255;
       }
     }
-    return null;
   };
   return { bytesPerPixel: 2, paint };
 }

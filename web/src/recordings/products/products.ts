@@ -2,6 +2,7 @@
 
 import type { Message } from "../formats/recording";
 import type { Value } from "../decoding/decoder";
+import { annotationsOf, type Annotations } from "../pictures/annotations";
 import { drawnPicture, type DrawnPicture } from "./drawn_picture";
 import { sceneBuffers, sceneMessage, type SceneMessage } from "../geometry/scene_message";
 import { fieldTypes, type FieldTypes } from "./field_types";
@@ -13,6 +14,8 @@ import { messageTree, type MessageTree } from "./tree";
 
 /** Products by name. `time` is for those who need to know only when a message comes. */
 export interface Products {
+  /** What is drawn over a picture. */
+  annotations: Annotations;
   /** Of the definition: the same for all messages of a topic. */
   fieldTypes: FieldTypes | null;
   location: Location;
@@ -32,6 +35,7 @@ export type ProductName = keyof Products;
 export type Make<P extends ProductName> = (message: Message, decode: () => Value) => Products[P] | Promise<Products[P]>;
 
 export const makers: { readonly [P in ProductName]: Make<P> } = {
+  annotations: ({ channel }, decode) => annotationsOf(channel.schema.name, decode()),
   fieldTypes: ({ channel }) => fieldTypes(channel.schema),
   location: (_, decode) => locationOf(decode()),
   picture: (_, decode) => drawnPicture(decode()),
@@ -79,8 +83,15 @@ export interface ReadMessage<P extends ProductName = ProductName> {
 /** Return what of a product is moved to the page instead of copied. */
 export function transferables(product: Products[ProductName]): Transferable[] {
   if (product === null || typeof product !== "object") return [];
-  if ("bitmap" in product && product.bitmap instanceof ImageBitmap) return [product.bitmap];
+  if (isPicture(product)) return ["values" in product.image ? product.image.values.buffer : product.image];
   return isSceneMessage(product) ? sceneBuffers(product) : [];
+}
+
+/** A plain value can have a field of that name, but nothing like that in it. */
+function isPicture(product: object): product is DrawnPicture {
+  if (!("image" in product)) return false;
+  const { image } = product;
+  return typeof image === "object" && image !== null && (("values" in image && image.values instanceof Float32Array) || image instanceof ImageBitmap);
 }
 
 function isSceneMessage(product: object): product is SceneMessage {

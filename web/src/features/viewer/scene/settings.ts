@@ -25,14 +25,14 @@ export const POINT_SIZES_PX = [1, 2, 3, 5, 8] as const;
 export const DECAYS_SECONDS = [0, 1, 2, 5, 10, 30] as const;
 const DEFAULT_POINT_PX = 2;
 
-function optionsOf({ fields }: Series): ReadonlyMap<string, string> {
+export function optionsOf({ fields }: Series): ReadonlyMap<string, string> {
   return new Map(fields.map((field): [string, string] => {
     const at = field.indexOf("=");
     return at < 0 ? [field, ""] : [field.slice(0, at), field.slice(at + 1)];
   }));
 }
 
-function oneOf<Choice>(choices: readonly Choice[], text: string | undefined, otherwise: Choice): Choice {
+export function oneOf<Choice>(choices: readonly Choice[], text: string | undefined, otherwise: Choice): Choice {
   return choices.find((choice) => String(choice) === text) ?? otherwise;
 }
 
