@@ -17,6 +17,7 @@ from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.contract.errors import NotAuthenticated, ScopeMissing
 from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead
+from kleinkram.contract.mission_positions import MissionPosition
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
 from kleinkram.contract.names import is_id
 from kleinkram.contract.previews import MissionPreview
@@ -128,6 +129,32 @@ def info(
                 for row in topics
             ],
         )
+
+
+@app.command("positions")
+def positions(
+    client: Client,
+    project: options.ProjectsOption = None,
+    query: Annotated[Text, option("--query", "QUERY", "Select missions by the query of a search.")] = None,
+    where: WhereOption = None,
+) -> Output:
+    """List where the latest missions were recorded, in degrees: first fixes, else locations in the metadata."""
+    matching = filter_of(MissionFilter, {"where": where, **projects_of(client, project)})
+    answer = client.missions.positions(matching, query=query)
+
+    def show() -> None:
+        headers = ["project", "mission", "latitude", "longitude", "from"]
+        table(headers, map(_position_cells, answer.items))
+        if answer.unplaced_count:
+            note(f"{count_of(answer.unplaced_count, 'mission')} without a known position.")
+        if answer.left_out_count:
+            note(f"{count_of(answer.left_out_count, 'earlier mission')} not listed.")
+
+    return Output(answer, show)
+
+
+def _position_cells(row: MissionPosition) -> tuple[object, ...]:
+    return row.mission.project.name, row.mission.name, row.latitude, row.longitude, row.source.value
 
 
 @app.command("previews")

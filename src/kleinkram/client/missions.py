@@ -12,6 +12,7 @@ from kleinkram.client.search import MissionFields, as_mission_filter
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import MAX_MISSION_TOPICS, MissionTimeline, MissionTopics, TimelineFile
 from kleinkram.contract.metadata import Metadata, MetadataFields
+from kleinkram.contract.mission_positions import MissionPositions
 from kleinkram.contract.missions import (
     MissionCreate,
     MissionFilter,
@@ -124,6 +125,16 @@ class Missions(NamedResource[MissionRead]):
     ) -> int:
         """Return how many missions match."""
         return count(self._api, "/missions", MissionRead, query_of(as_mission_filter(matching, fields), query=query))
+
+    def positions(
+        self, matching: MissionFilter | None = None, *, query: str | None = None, **fields: Unpack[MissionFields]
+    ) -> MissionPositions:
+        """Return where missions were recorded that match, selected as in `list`: their first GNSS fixes.
+
+        Where no recording has one, it is the location in the metadata. At most 2,000 missions, those recorded last.
+        """
+        parameters = query_of(as_mission_filter(matching, fields), query=query)
+        return self._api.get("/mission-positions", MissionPositions, parameters)
 
     def get(self, ref: Ref, *, project: Ref | None = None) -> MissionRead:
         """Return the mission with this id, or this name (in that project); `"PROJECT/MISSION"` names both.

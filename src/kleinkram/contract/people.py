@@ -130,11 +130,23 @@ class ViewerRead(Response):
     url: str
 
 
+class MapTiles(Response):
+    """The tiles of maps: `{z}`, `{x}` and `{y}` in `url` stand for zoom, column and row (Web Mercator, 256 pixels).
+
+    Nearer than `max_zoom`, those of `max_zoom` are enlarged. `attribution` is to be shown beside the map.
+    """
+
+    url: str
+    attribution: str
+    max_zoom: int
+
+
 class ServiceRead(Response):
     """A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
 
     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers. `token_days_max` 0: tokens
     without an end are allowed. `weakest_isolation`: the weakest that owners of projects may allow for runs.
+    `map_tiles`: where pages get the tiles of maps, if that is set.
     """
 
     name: str
@@ -148,6 +160,7 @@ class ServiceRead(Response):
     checksum: str
     has_local_accounts: bool
     viewers: list[ViewerRead]
+    map_tiles: MapTiles | None = None
     person: PersonRef | None
 
 

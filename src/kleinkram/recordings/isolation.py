@@ -23,19 +23,17 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from kleinkram.recordings import model
 from kleinkram.recordings.decoding.types import ReadingExtraMissing
 from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed, TooCostly
 from kleinkram.recordings.formats.rosbag2 import metadata as rosbag2
 from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
+from kleinkram.recordings.geo_position import GeoPosition, usable_position
 from kleinkram.recordings.limits import MAX_SCAN_BYTES, WINDOW
 from kleinkram.recordings.model import Depth, RecordingSummary
 from kleinkram.recordings.sources import FileSource, PipeReader, Source, SourceReader
-
-if TYPE_CHECKING:
-    from kleinkram.recordings.previews import Thumbnail
 
 CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.isolation")
 """`-I`: the child takes no module from the working directory, and nothing from the environment."""
@@ -105,10 +103,14 @@ class PreviewRequest:
 
 @dataclass(frozen=True)
 class PreviewAnswer:
-    """The file of a preview, and the picture that stands for it as JPEG. Neither is parsed."""
+    """The file of a preview, with what lists show of it: a picture as JPEG, and where it was first.
+
+    Neither file nor picture is parsed; the position is a usable one.
+    """
 
     data: bytes
     thumbnail: bytes | None
+    position: GeoPosition | None
 
 
 SummaryRequest = FileRequest | UrlRequest
@@ -146,7 +148,9 @@ def read_preview_answer(stdout: bytes, stderr: bytes, returncode: int) -> Previe
     def parse(plain: dict[str, Any]) -> PreviewAnswer:
         thumbnail = plain["thumbnail"]
         jpeg = None if thumbnail is None else base64.b64decode(thumbnail)
-        return PreviewAnswer(base64.b64decode(plain["data"]), jpeg)
+        position = plain["position"]
+        place = None if position is None else usable_position(*position)
+        return PreviewAnswer(base64.b64decode(plain["data"]), jpeg, place)
 
     return _read_answer("preview", parse, stdout, stderr, returncode)
 
@@ -274,9 +278,7 @@ def _answer(request: dict[str, Any]) -> dict[str, object]:
             metadata = rosbag2.parse_rosbag2_metadata(request["metadata"])
             return {"metadata": metadata and asdict(metadata)}
         if "preview_url" in request:
-            data, thumbnail = _make_preview(request)
-            jpeg = thumbnail and base64.b64encode(thumbnail.jpeg).decode()
-            return {"preview": {"data": base64.b64encode(data).decode(), "thumbnail": jpeg}}
+            return {"preview": _preview_to_dict(_make_preview(request))}
         return {"summary": to_dict(_summarise(request))}
     except SourceError as error:
         return {"failed": "source", "message": str(error)}
@@ -322,13 +324,13 @@ def _logs(request: dict[str, Any]) -> dict[str, Source]:
     }
 
 
-def _make_preview(request: dict[str, Any]) -> tuple[bytes, Thumbnail | None]:
+def _make_preview(request: dict[str, Any]) -> PreviewAnswer:
     started_s = time.monotonic()
     from kleinkram.recordings.http_source import HttpSource  # only in the child
     from kleinkram.recordings.recording import Recording
 
     try:
-        from kleinkram.recordings.previews import PreviewLimits, make_preview, representative_thumbnail
+        from kleinkram.recordings.previews import PreviewLimits, first_position, make_preview, representative_thumbnail
     except ImportError as error:
         raise ReadingExtraMissing(error.name or "numpy") from None
 
@@ -337,7 +339,17 @@ def _make_preview(request: dict[str, Any]) -> tuple[bytes, Thumbnail | None]:
         # Half of what is left: pictures and numbers that were read must be encoded, and the answer be sent.
         left_s = max(0.0, request["cpu_s"] - (time.monotonic() - started_s)) / 2
         data = make_preview(recording, PreviewLimits(cpu_s=left_s, wall_s=left_s))
-    return data, representative_thumbnail(data)
+    thumbnail = representative_thumbnail(data)
+    return PreviewAnswer(data, thumbnail and thumbnail.jpeg, first_position(data))
+
+
+def _preview_to_dict(preview: PreviewAnswer) -> dict[str, object]:
+    thumbnail, position = preview.thumbnail, preview.position
+    return {
+        "data": base64.b64encode(preview.data).decode(),
+        "thumbnail": thumbnail and base64.b64encode(thumbnail).decode(),
+        "position": position and (position.latitude, position.longitude),
+    }
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@
 
 import enum
 import ipaddress
+import re
 import ssl
 from pathlib import Path
 from typing import Annotated, Literal
@@ -44,6 +45,11 @@ PerMinute = Annotated[int, Field(ge=0)]
 # The database refuses fewer: a mistake must not delete what happened last week.
 MIN_AUDIT_DAYS = 30
 
+# Zoom, column and row of a tile, in its address.
+_TILE_PLACES = ("{z}", "{x}", "{y}")
+_PLAIN_HOST = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\])(:\d+)?")
+_PLAIN_TILE = re.compile(r"[A-Za-z0-9:/?=&%@._~+,\[\]-]+")
+
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
@@ -78,6 +84,25 @@ def _web_address(text: str) -> str:
     return text
 
 
+def _tiles_url(text: str) -> str:
+    """Return the address of map tiles: its origin becomes a part of the content policy, so it must be plain."""
+    tile = text
+    for place in _TILE_PLACES:
+        tile = tile.replace(place, "0", 1)
+    try:
+        parts = urlsplit(text)
+        is_address = parts.scheme in {"http", "https"} and parts.port != 0 and _PLAIN_HOST.fullmatch(parts.netloc)
+    except ValueError:  # the port is no number, or out of range
+        is_address = None
+    has_places = all(place in text for place in _TILE_PLACES)
+    if not has_places or not is_address or not _PLAIN_TILE.fullmatch(tile):
+        raise ValueError(
+            "must be an address such as https://host/{z}/{x}/{y}.png, with each of {z}, {x} and {y} once, behind the "
+            "host, and nothing else in braces"
+        )
+    return text
+
+
 def _readable(path: Path) -> Path:
     try:
         with path.open("rb"):
@@ -105,6 +130,7 @@ def _not_empty(secret: SecretStr) -> SecretStr:
 Secret = Annotated[SecretStr, AfterValidator(_not_empty)]
 DatabaseUrl = Annotated[PostgresDsn, WrapValidator(_database_url)]
 WebAddress = Annotated[str, AfterValidator(_web_address)]
+TilesUrl = Annotated[str, AfterValidator(_tiles_url)]
 ReadableFile = Annotated[Path, AfterValidator(_readable)]
 CertificateFile = Annotated[Path, AfterValidator(_certificates)]
 
@@ -277,6 +303,21 @@ class Settings(BaseSettings):
         default=(Viewer(name="Foxglove", url="https://app.foxglove.dev/~/view?ds=remote-file&ds.url={url}"),),
         description="External pages that can open a recording by its URL: a JSON list of "
         '{"name": "Lichtblick", "url": "https://lichtblick.example/?ds=remote-file&ds.url={url}"}; `[]` for none.',
+    )
+    map_tiles_url: TilesUrl | None = Field(
+        default=None,
+        description="Address of the tiles of a map (Web Mercator, 256 pixels), such as "
+        "`https://tiles.lab.example/{z}/{x}/{y}.png`. Browsers fetch them from there, and so tell that server where "
+        "their users look. Default: none; maps have a plain grid.",
+    )
+    map_tiles_attribution: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=200,
+        description="Text beside the map that names the source of the tiles; needed for `MAP_TILES_URL`.",
+    )
+    map_tiles_max_zoom: int = Field(
+        default=19, ge=0, le=24, description="The greatest zoom for which there are tiles; nearer, these are enlarged."
     )
     owner_token_file: ReadableFile | None = Field(
         default=None, description="File with the local owner's token, mode 0600; written by `klein up`."
@@ -553,6 +594,12 @@ class Settings(BaseSettings):
             raise ValueError("KLEINKRAM_SMTP_PASSWORD is not sent without encryption: set KLEINKRAM_SMTP_SECURITY")
         return self
 
+    @model_validator(mode="after")
+    def _names_the_source_of_tiles(self) -> "Settings":
+        if self.map_tiles_url is not None and self.map_tiles_attribution is None:
+            raise ValueError("KLEINKRAM_MAP_TILES_URL needs KLEINKRAM_MAP_TILES_ATTRIBUTION")
+        return self
+
     @property
     def public_origin(self) -> str:
         """The origin of this server's pages, as browsers name it."""
@@ -562,6 +609,11 @@ class Settings(BaseSettings):
     def store_origin(self) -> str:
         """The origin of the store's public URL, which pages must be allowed to access."""
         return origin_of(self.store_public_url)
+
+    @property
+    def tiles_origin(self) -> str | None:
+        """The origin of map tiles, from which pages must be allowed to load images; None without tiles."""
+        return None if self.map_tiles_url is None else origin_of(self.map_tiles_url)
 
     @property
     def store_public_url(self) -> str:

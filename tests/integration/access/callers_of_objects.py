@@ -83,6 +83,13 @@ OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "get_mission_template": (Caller(get("/projects/{project}/template"), Target.project),),
     "create_mission": (Caller(post("/projects/{project}/missions", lambda _: {"name": new_name()}), Target.project),),
     "list_missions": (Caller(get("/missions", name="{mission_name}"), Target.mission, shows=lists("mission")),),
+    "list_mission_positions": (
+        Caller(
+            get("/mission-positions", name="{mission_name}"),
+            Target.mission,
+            shows=lambda result, _: result["unplaced_count"] > 0,
+        ),
+    ),
     "get_mission": (Caller(get("/missions/{mission}"), Target.mission),),
     "update_mission": (Caller(patch("/missions/{mission}", lambda _: {"notes": ""}), Target.mission),),
     "move_mission": (

@@ -15,7 +15,7 @@ import pytest
 
 from kleinkram.contract.access import Right
 from kleinkram.recordings import FailureKind, Recording, SummaryFailed
-from kleinkram.recordings.isolation import PreviewAnswer
+from kleinkram.recordings.isolation import PreviewAnswer, read_preview_answer
 from kleinkram.recordings.previews import PREVIEW_VERSION, make_preview, read_preview
 from kleinkram.recordings.sample import SampleFormat, generate_file, generate_mcap
 from kleinkram.server.blobs import preview_jobs, recording_previews
@@ -123,6 +123,36 @@ def _thumbnails(api: Api, mission_ids: list[str]) -> list[dict[str, Any]]:
     answer = api.post("/missions/pictures", {"mission_ids": mission_ids}).ok()
     assert answer["items"] == []
     return list(answer["thumbnails"])
+
+
+def test_maps_have_the_first_fix_of_a_recording_until_its_preview_is_deleted(api: Api, tmp_path: Path) -> None:
+    project_id = api.project()["id"]
+    mission = api.mission(project_id)
+    generate_mcap(tmp_path / "drive.mcap", size_bytes=400_000, seed=next(_SEEDS))
+    file = upload(api, mission["id"], "drive.mcap", (tmp_path / "drive.mcap").read_bytes())
+    query = {"project_id": project_id}
+    assert api.get("/mission-positions", query).ok()["items"] == []
+    run_jobs(api)
+    (shown,) = api.get("/mission-positions", query).ok()["items"]
+    with Recording.open(tmp_path / "drive.mcap") as recording:
+        fixes = [message.value() for message in recording.messages(["/gps/fix"])]
+    first = next(fix for fix in fixes if fix.status.status >= 0)
+    assert (shown["latitude"], shown["longitude"]) == (first.latitude, first.longitude)
+    api.delete(f"/files/{file['id']}/preview").ok()
+    assert api.get("/mission-positions", query).ok()["items"] == []
+
+
+@pytest.mark.parametrize("position", ['[91, 8]', '[NaN, 8]', '[0, 0]', '[1e999, 8]'])
+def test_a_position_that_a_reader_falsified_is_none(position: str) -> None:
+    answer = f'{{"preview": {{"data": "", "thumbnail": null, "position": {position}}}}}'.encode()
+    assert read_preview_answer(answer, b"", 0).position is None
+
+
+@pytest.mark.parametrize("position", ['["47", "8"]', '[47]', '47', '{"latitude": 47}', '[[47], 8]'])
+def test_an_answer_with_a_malformed_position_is_refused(position: str) -> None:
+    answer = f'{{"preview": {{"data": "", "thumbnail": null, "position": {position}}}}}'.encode()
+    with pytest.raises(SummaryFailed, match="its answer cannot be understood"):
+        read_preview_answer(answer, b"", 0)
 
 
 def test_small_recordings_and_other_files_have_a_preview_on_request_only(

@@ -39,6 +39,18 @@ _WRONG_DSNS = tuple(
 )
 _WRONG_CERTIFICATES = (("/nowhere/ca", "No such file"), ("/etc/passwd", "no certificates"), ("/", "Is a directory"))
 _WRONG_NETWORKS = (("10.0.0.1/8", "has host bits set"), ("proxy", "such as 10.0.0.0/8"), ("10.0.0.0/8;::1", "such as"))
+_TILES = "must be an address such as https://host/{z}/{x}/{y}.png"
+_WRONG_TILES = (
+    ("https://tiles.example/{z}/{x}.png", _TILES),
+    ("https://tiles.example/{z}/{x}/{y}/{y}.png", _TILES),
+    ("https://{s}.tiles.example/{z}/{x}/{y}.png", _TILES),
+    ("https://tiles.example;script-src/{z}/{x}/{y}.png", _TILES),
+    ("https://a:b@tiles.example/{z}/{x}/{y}.png", _TILES),
+    ("ftp://tiles.example/{z}/{x}/{y}.png", _TILES),
+    ("https://tiles.example:0/{z}/{x}/{y}.png", _TILES),
+    ("/{z}/{x}/{y}.png", _TILES),
+    ("https://tiles.example/{z}/{x}/{y}.png", "needs KLEINKRAM_MAP_TILES_ATTRIBUTION"),
+)
 # What is wrong for the settings that are no numbers and no choices, and the words that say so.
 _WRONG: dict[str, tuple[tuple[str, str], ...]] = {
     "affiliations": (
@@ -52,6 +64,8 @@ _WRONG: dict[str, tuple[tuple[str, str], ...]] = {
     "database_password": (("hunter22", "needs a database URL with a user and no password"),),
     "database_url": _WRONG_DSNS,
     "lab_name": (("x" * 65, "more than 64 characters"),),
+    "map_tiles_attribution": (("x" * 201, "more than 200 characters"),),
+    "map_tiles_url": _WRONG_TILES,
     "mail_from": (("kleinkram", "is not an address such as"),),
     "metrics_address": (("http://127.0.0.1", "it must match"),),
     "migration_database_password": (("hunter22", "needs a database URL with a user and no password"),),

@@ -7,6 +7,7 @@ export type Service = Schemas["ServiceRead"];
 export type Me = Schemas["MeRead"];
 export type Project = Schemas["ProjectRead"];
 export type Mission = Schemas["MissionRead"];
+export type MissionPosition = Schemas["MissionPosition"];
 export type File = Schemas["FileRead"];
 export type Topic = Schemas["TopicRead"];
 export type Recording = Schemas["RecordingRead"];

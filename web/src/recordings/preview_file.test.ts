@@ -41,6 +41,24 @@ it("reads the pictures of a camera", async () => {
   expect(await preview.camera("/none")).toBeNull();
 });
 
+it("reads the track of a topic with fixes, not that of poses", async () => {
+  const preview = await PreviewFile.open(sourceOf(BYTES));
+  const track = await preview.track("/gnss");
+  expect([...(track?.timesNs ?? [])]).toEqual([START_NS, START_NS + 2n]);
+  expect(Array.from(track?.positions ?? [])).toEqual([47.1, 8.123456789, NaN, 47.2, 8.2, 430.5]);
+  expect(await preview.track("/odometry")).toBeNull();
+  expect(await preview.track("/none")).toBeNull();
+});
+
+it("reads the lines of a topic", async () => {
+  const preview = await PreviewFile.open(sourceOf(BYTES));
+  expect(await preview.lines("/rosout")).toEqual([
+    { timeNs: START_NS, severity: "info", source: "driver", text: "started" },
+    { timeNs: START_NS + 5n, severity: "error", source: "driver", text: "über limit" },
+  ]);
+  expect(await preview.lines("/none")).toEqual([]);
+});
+
 it("refuses what is no preview, and any damage of its index, by name", async () => {
   const isDamaged: unknown = expect.objectContaining({ code: "index_damaged" });
   await expect(PreviewFile.open(sourceOf(BYTES.slice(0, 10)))).rejects.toEqual(isDamaged);

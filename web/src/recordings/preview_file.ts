@@ -30,6 +30,22 @@ export interface PreviewField {
   readonly high: ArrayLike<number>;
 }
 
+/** Thinned positions of GNSS. */
+export interface PreviewTrack {
+  /** Log times in nanoseconds. */
+  readonly timesNs: BigInt64Array;
+  /** Of each: latitude and longitude in degrees, altitude in metres; NaN for an altitude that is not known. */
+  readonly positions: Float64Array;
+}
+
+/** A line of a log; `severity` is one of Kleinkram's words, or another text. */
+export interface PreviewLine {
+  readonly timeNs: bigint;
+  readonly severity: string;
+  readonly source: string;
+  readonly text: string;
+}
+
 /** Small pictures of a camera, evenly spread over its messages. */
 export interface PreviewCamera {
   readonly topic: string;
@@ -66,6 +82,26 @@ export class PreviewFile {
     const offered = entries(entry.fields);
     const values = fields.map((name) => this.field(offered.find((field) => field.name === name), firstNs.length));
     return { messagesPerBin: natural(entry.messages_per_bin), firstNs, lastNs, fields: await Promise.all(values) };
+  }
+
+  /** Return the track of a topic with GNSS fixes; null where the preview has none of it. */
+  async track(topic: string): Promise<PreviewTrack | null> {
+    const entry = entries(this.index.tracks).find((track) => track.topic === topic && track.kind === "gnss");
+    if (entry === undefined) return null;
+    const timesNs = await this.times(entry.times_ns);
+    const positions = Float64Array.from(await this.numbers(entry.positions));
+    if (positions.length !== 3 * timesNs.length) throw damaged("different lengths");
+    return { timesNs, positions };
+  }
+
+  /** Return the first and the most severe lines of a topic, by time. */
+  async lines(topic: string): Promise<readonly PreviewLine[]> {
+    const section = asEntry(asEntry(this.index.logs).lines);
+    const size = natural(section.unpacked);
+    if (size > MAX_SECTION_BYTES) throw damaged("a section of this size");
+    const lines = parsed(await inflated(await this.section(section), size), "a section");
+    if (!Array.isArray(lines)) throw damaged("a section");
+    return lines.map(lineOf).flatMap(({ of, ...line }) => (of === topic ? [line] : []));
   }
 
   /** Return the topics of the cameras that have thumbnails. */
@@ -148,12 +184,18 @@ async function inflated(packed: Uint8Array, size: number): Promise<Uint8Array<Ar
   return target;
 }
 
-function parsed(bytes: Uint8Array): unknown {
+function parsed(bytes: Uint8Array, what = "its index"): unknown {
   try {
     return JSON.parse(new TextDecoder().decode(bytes));
   } catch {
-    throw damaged("its index is no JSON");
+    throw damaged(`${what} is no JSON`);
   }
+}
+
+function lineOf(line: unknown): PreviewLine & { readonly of: string } {
+  const [timeNs, of, severity, source, text] = Array.isArray(line) ? (line as unknown[]) : [];
+  if (typeof of !== "string" || typeof severity !== "string" || typeof source !== "string" || typeof text !== "string") throw damaged("a line");
+  return { timeNs: timeOf(timeNs), of, severity, source, text };
 }
 
 function asEntry(value: unknown): Entry {

@@ -39,6 +39,7 @@ export const texts = {
     filter: "Filter by name, notes, or metadata",
     table: "Table",
     timeline: "Timeline",
+    map: "Map",
     views: "Show missions as",
     name: "Mission",
     verdict: "Checks",

@@ -14,7 +14,7 @@ export const texts = {
   wrong: "Invalid search",
   emptyBox: "Clear search",
 
-  tabs: { label: "Results", files: "Files", missions: "Missions", topics: "Topics" },
+  tabs: { label: "Results", files: "Files", missions: "Missions", topics: "Topics", map: "Map" },
   estimated: "Many results: the counts are estimates, and the topics come from a sample of the files. Add a term to narrow the search.",
   files: "Matching files",
   missions: "Matching missions",

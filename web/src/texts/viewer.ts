@@ -98,9 +98,9 @@ export const texts = {
   zoomIn: "Zoom in",
   zoomOut: "Zoom out",
   fit: "Show everything",
-  length: (metres: number) => (metres >= 1_000 ? `${metres / 1_000} km` : metres >= 1 ? `${metres} m` : `${Number((metres * 100).toPrecision(2))} cm`),
   position: (latitude: number, longitude: number) => `${latitude.toFixed(7)}°, ${longitude.toFixed(7)}°`,
   altitude: (metres: number) => `${metres.toFixed(2)} m`,
+  roughTrack: "The grey part of the track is from the preview.",
   noPosition: "No position",
   withoutPosition: (count: number) => `${counted(count, "message")} without a position`,
   shapes: (count: number) => counted(count, "shape"),
@@ -149,6 +149,7 @@ export const texts = {
   logText: "Text",
   logRead: (from: string, until: string, lines: number) => `Read from ${from} to ${until}: ${counted(lines, "line")}.`,
   logShown: (shown: number, matching: number) => `${counted(matching, "line")} match; ${shown} near this time are shown.`,
+  roughLines: "Lines in italics are from the preview, which has the first and the most severe ones.",
   readOn: "Read on",
   noLines: "No line matches.",
 } as const;

@@ -8,6 +8,7 @@ from kleinkram.recordings.previews.builder import PreviewLimits, make_preview, p
 from kleinkram.recordings.previews.container import (
     PREVIEW_VERSION,
     PreviewUnreadable,
+    first_position,
     read_preview,
     representative_thumbnail,
 )
@@ -40,6 +41,7 @@ __all__ = [
     "Thumbnail",
     "TopicSeries",
     "TrackKind",
+    "first_position",
     "make_preview",
     "preview_max_bytes",
     "read_preview",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from kleinkram.recordings.decoding.types import ReadingExtraMissing
 from kleinkram.recordings.errors import RecordingError
+from kleinkram.recordings.geo_position import GeoPosition, usable_position
 from kleinkram.recordings.previews.model import (
     CameraStrip,
     FieldSeries,
@@ -210,6 +211,25 @@ def representative_thumbnail(data: bytes) -> Thumbnail | None:
     return thumbnails[len(thumbnails) // 2]
 
 
+def first_position(data: bytes) -> GeoPosition | None:
+    """Return the earliest usable position of the GNSS tracks; None without any.
+
+    Raises:
+        PreviewUnreadable: it is no such file, of another version, or damaged.
+    """
+    with _named_damage():
+        tracks = [track for track in _Parser(data).tracks() if track.kind is TrackKind.gnss]
+    earliest: tuple[int, GeoPosition] | None = None
+    for track in tracks:
+        for time_ns, (latitude, longitude, _) in zip(track.times_ns, track.positions, strict=True):
+            position = usable_position(latitude, longitude)
+            if position is not None:
+                if earliest is None or time_ns < earliest[0]:
+                    earliest = int(time_ns), position
+                break
+    return earliest and earliest[1]
+
+
 @contextmanager
 def _named_damage() -> Iterator[None]:
     try:
@@ -244,7 +264,7 @@ class _Parser:
             read_share=float(index["read_share"]),
             series=tuple(self._series(entry) for entry in index["series"]),
             cameras=self.cameras(),
-            tracks=tuple(self._track(entry) for entry in index["tracks"]),
+            tracks=self.tracks(),
             log_lines=tuple(_read_line(entry) for entry in json.loads(self._unpack(logs["lines"]))),
             log_line_count=int(logs["count"]),
             clouds=tuple(self._cloud(entry) for entry in index["clouds"]),
@@ -254,6 +274,10 @@ class _Parser:
     def cameras(self) -> tuple[CameraStrip, ...]:
         """Return the thumbnails of all cameras."""
         return tuple(self._camera(entry) for entry in self._index["cameras"])
+
+    def tracks(self) -> tuple[PositionTrack, ...]:
+        """Return the positions of all topics."""
+        return tuple(self._track(entry) for entry in self._index["tracks"])
 
     def _bytes(self, entry: Mapping[str, Any]) -> memoryview:
         start, length = int(entry["offset"]), int(entry["length"])

@@ -75,6 +75,7 @@ OPERATIONS: dict[str, Permission] = {
     # Missions
     "create_mission": Permission(ResourceKind.project, Right.create, _UPLOAD),
     "list_missions": _visible(_NAMES),
+    "list_mission_positions": _visible(),
     "get_mission": Permission(ResourceKind.mission, Right.read, _NAMES, guests=True),
     "update_mission": Permission(ResourceKind.mission, Right.write, _WRITE),
     "move_mission": Permission(ResourceKind.mission, Right.delete, _WRITE),

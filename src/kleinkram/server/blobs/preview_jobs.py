@@ -66,9 +66,7 @@ async def make_recording_preview(job_context: JobContext, ref: str) -> None:
         return
     await context.storage.put_object(key, made.data)
     async with context.database.begin() as db:
-        is_recorded = await recording_previews.record_ready(
-            db, blob_id, key=key, size_bytes=len(made.data), thumbnail=made.thumbnail
-        )
+        is_recorded = await recording_previews.record_ready(db, blob_id, key=key, preview=made)
     if not is_recorded:
         await context.storage.delete(key)
 
@@ -90,7 +88,7 @@ def _temporary_failures(failure: SummaryFailed, before: recording_previews.Recor
 
 
 async def _make(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> PreviewAnswer:
-    """Return a preview, which the child may have falsified: only sizes are checked."""
+    """Return a preview, which the child may have falsified: only sizes and the range of the position are checked."""
     async with context.database.begin() as db:
         logs = await service.find_sqlite_logs(db, row.id)
     size_bytes = row.size_bytes + sum(log.size_bytes for log in logs.values())

@@ -13,6 +13,7 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.contract.recording_previews import RecordingPreviewState
+from kleinkram.recordings.isolation import PreviewAnswer
 from kleinkram.server.blobs import garbage_collection, queries, service
 from kleinkram.server.db import Connection, fit_text
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job, start_now, with_waiting_job
@@ -27,6 +28,10 @@ READABLE = frozenset((ContentState.indexed, ContentState.recovered))
 _COUNT_WAITING = text(
     "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'make_recording_preview' AND status = 'todo'"
 )
+
+
+# What is stored of a preview for lists and maps; it ends with the preview.
+_NO_EXTRACTS: Mapping[str, object] = {"thumbnail": None, "latitude": None, "longitude": None}
 
 
 class RecordingPreviewRow(NamedTuple):
@@ -115,21 +120,21 @@ async def find_preview(db: Connection, blob_id: uuid.UUID) -> RecordingPreviewRo
 async def record_begin(db: Connection, blob_id: uuid.UUID, *, key: str) -> bool:
     """Record that the preview of a blob is being made, and the key of its object; False if it was deleted."""
     values = {"state": RecordingPreviewState.making.value, "key": key, "version": VERSION}
-    values |= {"size_bytes": None, "thumbnail": None}
+    values |= {"size_bytes": None, **_NO_EXTRACTS}
     is_alive = recording_preview.c.state != RecordingPreviewState.deleted.value
     return await _write(db, blob_id, values, where=is_alive)
 
 
-async def record_ready(
-    db: Connection, blob_id: uuid.UUID, *, key: str, size_bytes: int, thumbnail: bytes | None
-) -> bool:
-    """Record that the object is written; `thumbnail` is a JPEG for lists.
+async def record_ready(db: Connection, blob_id: uuid.UUID, *, key: str, preview: PreviewAnswer) -> bool:
+    """Record that the object is written, with what lists and maps show of it.
 
     Returns:
         False if another job has begun since, or the preview or blob is deleted.
     """
-    values = {"state": RecordingPreviewState.ready.value, "size_bytes": size_bytes, "thumbnail": thumbnail}
-    values |= {"reason": None, "temporary_failures": 0}
+    values = {"state": RecordingPreviewState.ready.value, "size_bytes": len(preview.data)}
+    values |= {"thumbnail": preview.thumbnail, "reason": None, "temporary_failures": 0}
+    if preview.position is not None:
+        values |= {"latitude": preview.position.latitude, "longitude": preview.position.longitude}
     is_recorded = await _end(db, blob_id, key, values)
     if is_recorded:
         await service.publish_file_changes(db, [blob_id])
@@ -153,8 +158,7 @@ async def _end(db: Connection, blob_id: uuid.UUID, key: str, values: dict[str, o
 async def mark_deleted(db: Connection, blob_id: uuid.UUID) -> None:
     """Mark a preview as deleted: it is not made again by itself, and garbage collection deletes its object."""
     values = {"state": RecordingPreviewState.deleted.value, "version": VERSION, "size_bytes": None, "reason": None}
-    values["thumbnail"] = None
-    await _write(db, blob_id, values)
+    await _write(db, blob_id, values | _NO_EXTRACTS)
     await service.publish_file_changes(db, [blob_id])
 
 

@@ -9,7 +9,7 @@ from fastapi.responses import PlainTextResponse, StreamingResponse
 
 import kleinkram
 from kleinkram.contract.access import TokenKind
-from kleinkram.contract.people import ServiceRead, ViewerRead
+from kleinkram.contract.people import MapTiles, ServiceRead, ViewerRead
 from kleinkram.diagnostics import Diagnostic, DiagnosticSeverity, find_problems
 from kleinkram.server.health.readiness import CachedLookup, check_service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
@@ -88,5 +88,13 @@ async def service(actor: CurrentActor, storage: CurrentStorage, settings: Curren
         weakest_isolation=settings.weakest_isolation,
         has_local_accounts=settings.local_accounts,
         viewers=[ViewerRead(name=viewer.name, url=viewer.url) for viewer in settings.viewers],
+        map_tiles=_map_tiles(settings),
         person=actor.ref,
     )
+
+
+def _map_tiles(settings: Settings) -> MapTiles | None:
+    url, attribution = settings.map_tiles_url, settings.map_tiles_attribution
+    if url is None or attribution is None:
+        return None
+    return MapTiles(url=url, attribution=attribution, max_zoom=settings.map_tiles_max_zoom)

@@ -58,10 +58,11 @@ _NOT_BUILT: Final = (
 
 
 def app_policy(settings: Settings) -> str:
-    """Return the content policy of the app: its own scripts, this server, and the store at its public address."""
+    """Return the content policy of the app: its own scripts, this server, the store, and images of a map, if set."""
+    tiles = "" if settings.tiles_origin is None else f" {settings.tiles_origin}"
     return (
         "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; font-src 'self'; "
-        f"img-src 'self' blob: data:; media-src {settings.store_origin}; "
+        f"img-src 'self' blob: data:{tiles}; media-src {settings.store_origin}; "
         f"connect-src 'self' {settings.store_origin}; worker-src 'self'; "
         "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     )

@@ -6,6 +6,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from kleinkram.contract.base import Cursor, Page, PageSize
+from kleinkram.contract.files import FileFilter
+from kleinkram.contract.mission_positions import MissionPositions
 from kleinkram.contract.missions import (
     MissionCreate,
     MissionFilter,
@@ -20,19 +22,34 @@ from kleinkram.contract.search import QueryText
 from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction
 from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import IfMatch
-from kleinkram.server.missions import service
+from kleinkram.server.missions import positions, service
 from kleinkram.server.pagination import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["missions"], responses=FAILURE_RESPONSES)
 
 
-class MissionListQuery(MissionFilter):
+class MissionPositionsQuery(MissionFilter):
+    """Query parameters of a map of missions; `query` finds missions by their own fields or by their files."""
+
+    query: QueryText | None = None
+
+    @property
+    def matching(self) -> MissionFilter:
+        """The filter of missions alone."""
+        return MissionFilter.model_construct(**{name: getattr(self, name) for name in MissionFilter.model_fields})
+
+    @property
+    def by_files(self) -> FileFilter | None:
+        """The filter that the query is. Raises InvalidQuery."""
+        return None if self.query is None else parse(self.query)
+
+
+class MissionListQuery(MissionPositionsQuery):
     """Query parameters of a list of missions; `query` finds missions by their own fields or by their files.
 
     `sort` is a column, or a field of the metadata such as `meta.robot`; a leading `-` reverses it.
     """
 
-    query: QueryText | None = None
     sort: MissionOrder = MissionSort.name
     limit: PageSize = 100
     cursor: Cursor | None = None
@@ -53,9 +70,17 @@ async def list_missions(
 ) -> Page[MissionRead]:
     """List the missions that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    by_files = None if query.query is None else parse(query.query)
-    matching = MissionFilter.model_construct(**{name: getattr(query, name) for name in MissionFilter.model_fields})
-    return await service.list_missions(db, actor, matching=matching, by_files=by_files, sort=query.sort, page=page)
+    return await service.list_missions(
+        db, actor, matching=query.matching, by_files=query.by_files, sort=query.sort, page=page
+    )
+
+
+@router.get("/mission-positions", operation_id="list_mission_positions")
+async def list_mission_positions(
+    query: Annotated[MissionPositionsQuery, Query()], db: Reading, actor: CurrentActor
+) -> MissionPositions:
+    """Return where the latest missions that match were recorded: their first positions."""
+    return await positions.list_mission_positions(db, actor, matching=query.matching, by_files=query.by_files)
 
 
 @router.get("/missions/{mission_id}", operation_id="get_mission")

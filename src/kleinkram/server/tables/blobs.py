@@ -124,6 +124,9 @@ recording_preview = sa.Table(
     sa.Column("size_bytes", sa.BigInteger),
     # A small JPEG for lists, if a camera was recorded.
     sa.Column("thumbnail", sa.LargeBinary),
+    # The first position that the recording has, in degrees (WGS 84); null without any.
+    sa.Column("latitude", sa.Double),
+    sa.Column("longitude", sa.Double),
     sa.Column("reason", sa.Text),
     # In succession, for want of time, memory or the store: after the first one, it is made once more.
     sa.Column("temporary_failures", sa.Integer, nullable=False, server_default="0"),
@@ -132,6 +135,11 @@ recording_preview = sa.Table(
     sa.CheckConstraint("state IN ('making', 'ready', 'failed', 'deleted')", name="state"),
     sa.CheckConstraint("state <> 'ready' OR (key IS NOT NULL AND size_bytes IS NOT NULL)", name="ready"),
     sa.CheckConstraint("octet_length(thumbnail) <= 32768", name="thumbnail"),
+    # NaN is greater than every number.
+    sa.CheckConstraint(
+        "(latitude IS NULL) = (longitude IS NULL) AND latitude BETWEEN -90 AND 90 AND longitude BETWEEN -180 AND 180",
+        name="position",
+    ),
     # To find the objects to be deleted.
     sa.Index(
         "ix_recording_preview_deleted",

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kleinkram.recordings.geo_position import GeoPosition, usable_position
 from kleinkram.recordings.previews import (
     CameraStrip,
     FieldSeries,
@@ -23,6 +24,7 @@ from kleinkram.recordings.previews import (
     TopicSeries,
     TrackKind,
     container,
+    first_position,
     preview_max_bytes,
     read_preview,
     representative_thumbnail,
@@ -101,6 +103,40 @@ def test_the_picture_that_stands_for_a_recording_is_in_the_middle_of_its_busiest
 
 
 @pytest.mark.parametrize("max_bytes", [5_000_000, 400_000, 100_000, 20_000, 3_000, 300])
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "is_usable"),
+    [
+        (47.1, 8.1, True),
+        (-90.0, 180.0, True),
+        (0.0, 8.1, True),
+        (0.0, 0.0, False),
+        (90.1, 0.0, False),
+        (47.1, -180.1, False),
+        (np.nan, 8.1, False),
+        (47.1, np.inf, False),
+    ],
+)
+def test_numbers_are_a_position_only_on_earth(latitude: float, longitude: float, *, is_usable: bool) -> None:
+    expected = GeoPosition(latitude, longitude) if is_usable else None
+    assert usable_position(latitude, longitude) == expected
+
+
+def test_the_first_position_is_the_earliest_usable_one_of_the_fixes() -> None:
+    def track(topic: str, kind: TrackKind, start: int, *rows: tuple[float, float]) -> PositionTrack:
+        positions = np.array([[*row, np.nan] for row in rows])
+        return PositionTrack(topic, kind, len(rows), T0 + start + np.arange(len(rows)), positions)
+
+    pose = track("/odometry", TrackKind.pose, 0, (1.0, 2.0))
+    late = track("/late", TrackKind.gnss, 100, (47.2, 8.2))
+    noisy = track("/noisy", TrackKind.gnss, 50, (0.0, 0.0), (np.nan, 8.0), (91.0, 8.0), (47.1, 8.1), (47.3, 8.3))
+    preview = _preview()
+    assert first_position(encode(replace(preview, tracks=(pose, late, noisy)))) == GeoPosition(47.1, 8.1)
+    assert first_position(encode(replace(preview, tracks=(pose,)))) is None
+    assert first_position(encode(replace(preview, tracks=()))) is None
+    with pytest.raises(PreviewUnreadable):
+        first_position(encode(preview)[:200])
+
+
 def test_a_preview_has_at_most_its_size(max_bytes: int) -> None:
     preview = _preview(topics=40, bins=3000, field_count=3)
     data = encode_within(preview, max_bytes)

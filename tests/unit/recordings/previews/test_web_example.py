@@ -10,13 +10,18 @@ from kleinkram.recordings.previews.container import encode, read_preview
 from kleinkram.recordings.previews.model import (
     CameraStrip,
     FieldSeries,
+    LogLine,
+    LogSeverity,
+    PositionTrack,
     RecordingPreview,
     Thumbnail,
     TopicSeries,
+    TrackKind,
 )
 
 _EXAMPLE = Path(__file__).parents[4] / "web" / "src" / "recordings" / "testing" / "preview.json"
 _START_NS = 1_700_000_000_000_000_000
+_FIXES = np.array([[47.1, 8.123456789, np.nan], [47.2, 8.2, 430.5]])
 
 
 def _example() -> RecordingPreview:
@@ -41,9 +46,16 @@ def _example() -> RecordingPreview:
         read_share=1.0,
         series=(series,),
         cameras=(CameraStrip("/camera", 20, thumbnails),),
-        tracks=(),
-        log_lines=(),
-        log_line_count=0,
+        tracks=(
+            PositionTrack("/odometry", TrackKind.pose, 1, np.array([_START_NS]), np.array([[1.0, 2.0, 3.0]])),
+            PositionTrack("/gnss", TrackKind.gnss, 2, np.array([_START_NS, _START_NS + 2]), _FIXES),
+        ),
+        log_lines=(
+            LogLine(_START_NS, "/rosout", LogSeverity.info, "driver", "started"),
+            LogLine(_START_NS + 3, "/other", LogSeverity.unknown, "", "text"),
+            LogLine(_START_NS + 5, "/rosout", LogSeverity.error, "driver", "über limit"),
+        ),
+        log_line_count=7,
         clouds=(),
         left_out=(),
     )

@@ -36,3 +36,12 @@ it("filters by level and text", () => {
 it("knows the line of a time", () => {
   expect([-1n, 0n, 15n, 99n].map((timeNs) => placeAt(lines, timeNs))).toEqual([-1, 0, 1, 2]);
 });
+
+it("shows lines of the preview where nothing was read", () => {
+  const rough = roughLines([5n, 15n, 25n].map((timeNs) => ({ timeNs, severity: timeNs === 5n ? "unknown" : "error", source: "", text: `rough ${timeNs}` })));
+  expect(rough.map(({ level }) => level)).toEqual(["info", "error", "error"]);
+  const textsOf = (span: { fromNs: bigint; toNs: bigint } | null): string[] => withRough(lines, span, rough).map(({ text }) => text);
+  expect(textsOf({ fromNs: 0n, toNs: 20n })).toEqual(["Text 0", "Text 1", "Text 2", "rough 25"]);
+  expect(textsOf({ fromNs: 10n, toNs: 20n })).toEqual(["Text 0", "rough 5", "Text 1", "Text 2", "rough 25"]);
+  expect(textsOf(null)).toEqual(["Text 0", "rough 5", "Text 1", "rough 15", "Text 2", "rough 25"]);
+});

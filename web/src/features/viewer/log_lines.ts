@@ -1,4 +1,6 @@
 // Lines of text from messages: logs of ROS 1, ROS 2 and Foxglove, diagnostics, and plain strings.
+import type { Span } from "@/recordings/formats/recording";
+import type { PreviewLine } from "@/recordings/preview_file";
 import type { PlainValue } from "@/recordings/products/plain_value";
 
 export const LEVELS = ["debug", "info", "warning", "error", "fatal"] as const;
@@ -10,6 +12,8 @@ export interface Line {
   /** Who wrote it: a node, or a component of the diagnostics. */
   readonly source: string;
   readonly text: string;
+  /** From the preview, in a part that was not read. */
+  readonly isRough?: boolean;
 }
 
 interface Fields {
@@ -41,6 +45,17 @@ export function isLogType(messageType: string | null): boolean {
 export function linesOf(messageType: string | null, timeNs: bigint, value: PlainValue): Line[] {
   const parse = PARSERS.find(([type]) => type.test(messageType ?? ""))?.[1];
   return isFields(value) && parse !== undefined ? parse(value).map((line) => ({ timeNs, ...line })) : [];
+}
+
+/** Returns lines of a preview. What has no level is `info`. */
+export function roughLines(lines: readonly PreviewLine[]): Line[] {
+  return lines.map(({ severity, ...line }) => ({ ...line, level: levelOf(severity, {}), isRough: true }));
+}
+
+/** Returns the lines that were read and, where nothing was read, those of the preview, by time. */
+export function withRough(lines: readonly Line[], read: Span | null, rough: readonly Line[]): readonly Line[] {
+  const outside = rough.filter(({ timeNs }) => read === null || timeNs < read.fromNs || timeNs > read.toNs);
+  return outside.length === 0 ? lines : [...lines, ...outside].toSorted((a, b) => (a.timeNs < b.timeNs ? -1 : a.timeNs > b.timeNs ? 1 : 0));
 }
 
 /** Returns the lines at a level or above it that contain a text. */

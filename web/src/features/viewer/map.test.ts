@@ -1,10 +1,10 @@
 import { describe, expect, it } from "vitest";
-import { fitted, gridLines, linePath, metresPerPixel, nearest, panned, scaleBar, toPixels, worldPoint, zoomed } from "./map_view";
+import { locationsOf } from "./locations";
+import { roughParts } from "./rough_tracks";
 import { EMPTY_TRACK, mapShapes, MAX_TRACK_POINTS, trackPlaces, withPositions, type Track } from "./track";
 import { locationOf } from "@/recordings/products/location";
 import type { ReadMessage } from "@/recordings/products/products";
 
-const SIZE = { width: 400, height: 300 };
 const ZURICH = { latitude: 47.3769, longitude: 8.5417 };
 
 function message(number: number, position: { latitude: number; longitude: number } | null): ReadMessage<"location"> {
@@ -13,64 +13,6 @@ function message(number: number, position: { latitude: number; longitude: number
 }
 
 const along = (count: number, first = 0): ReadMessage<"location">[] => Array.from({ length: count }, (_, number) => message(first + number, { ...ZURICH, longitude: 8 + number * 1e-6 }));
-
-describe("a map", () => {
-  it("shows distances as they are at the latitude", () => {
-    // 0.001 degrees of longitude at this latitude: 6378137 m × cos φ × 0.001° = 75.38 m (spherical Mercator).
-    const view = fitted([worldPoint(ZURICH)], SIZE);
-    const [a, b] = [ZURICH, { ...ZURICH, longitude: ZURICH.longitude + 0.001 }].map((one) => toPixels(view, SIZE, worldPoint(one)));
-    expect(((b?.left ?? 0) - (a?.left ?? 0)) * metresPerPixel(view)).toBeCloseTo(75.38, 1);
-  });
-
-  it("fits all places, and a single one with its surroundings", () => {
-    const places = [worldPoint({ latitude: 47, longitude: 8 }), worldPoint({ latitude: 48, longitude: 9 })];
-    const view = fitted(places, SIZE);
-    for (const place of places) {
-      const { left, top } = toPixels(view, SIZE, place);
-      expect(left > 0 && left < SIZE.width && top > 0 && top < SIZE.height).toBe(true);
-    }
-    expect(metresPerPixel(fitted([worldPoint(ZURICH)], SIZE)) * SIZE.height).toBeCloseTo(20 / 0.85, 0);
-  });
-
-  it("keeps the place below the pointer while zooming, and follows a drag", () => {
-    const view = fitted([worldPoint(ZURICH)], SIZE);
-    const at = { left: 90, top: 220 };
-    const place = { x: view.centre.x + (at.left - 200) / view.scale, y: view.centre.y + (at.top - 150) / view.scale };
-    const after = toPixels(zoomed(view, 3, SIZE, at), SIZE, place);
-    expect([after.left, after.top].map((pixel) => Math.round(pixel * 10) / 10)).toEqual([90, 220]);
-    expect(toPixels(panned(view, 30, -20), SIZE, place).left).toBeCloseTo(120, 3);
-  });
-
-  it("has a scale bar of a round length, and a grid of that width", () => {
-    const view = fitted([worldPoint({ latitude: 0, longitude: 0 }), worldPoint({ latitude: 0, longitude: 0.01 })], SIZE);
-    const bar = scaleBar(view, 110);
-    expect(bar.metres).toBe(200);
-    expect(bar.pixels).toBeLessThanOrEqual(110);
-    const { lefts } = gridLines(view, SIZE, worldPoint({ latitude: 0, longitude: 0 }), bar.pixels);
-    expect((lefts[1] ?? 0) - (lefts[0] ?? 0)).toBeCloseTo(bar.pixels, 6);
-    expect(lefts.length).toBeLessThan(10);
-  });
-
-  it("draws a track across the date line in one piece", () => {
-    const first = worldPoint({ latitude: 0, longitude: 179.9 });
-    expect(worldPoint({ latitude: 0, longitude: -179.9 }, first.x).x - first.x).toBeCloseTo(0.2 / 360, 9);
-  });
-
-  it("draws only what differs by a pixel, with the ends of lines", () => {
-    const view = { centre: { x: 0.5, y: 0.5 }, scale: 100 };
-    const places = Array.from({ length: 1_000 }, (_, number) => ({ x: 0.5 + number * 1e-5, y: 0.5, isStart: number === 0 }));
-    const path = linePath(view, SIZE, places);
-    expect(path.match(/[ML]/g)).toHaveLength(3);
-    expect(path.endsWith("L201.0 150.0")).toBe(true);
-  });
-
-  it("finds the nearest point within reach of a click", () => {
-    const view = { centre: { x: 0.5, y: 0.5 }, scale: 1_000 };
-    const places = [{ x: 0.5, y: 0.5 }, { x: 0.51, y: 0.5 }];
-    expect(nearest(view, SIZE, places, { left: 208, top: 151 }, 24)).toBe(places[1]);
-    expect(nearest(view, SIZE, places, { left: 300, top: 150 }, 24)).toBeNull();
-  });
-});
 
 describe("a track", () => {
   it("leaves out messages without a position, counts them, and is broken there", () => {
@@ -121,5 +63,35 @@ describe("the location of a message", () => {
     expect(() => locationOf({ geojson: "{" })).toThrow(/message_damaged: no GeoJSON/);
     const nested = `${'{"type":"GeometryCollection","geometries":['.repeat(500)}${"]}".repeat(500)}`;
     expect(locationOf({ geojson: nested }).shapes).toEqual([]);
+  });
+});
+
+describe("the track of a preview", () => {
+  const file = { id: "f", path: "f.mcap", format: "mcap", size_bytes: 1, span: { fromNs: 0n, toNs: 99n } } as const;
+  const positions = (...pairs: readonly (readonly [number, number])[]) => Float64Array.from(pairs.flatMap(([latitude, longitude]) => [latitude, longitude, Number.NaN]));
+  const track = { timesNs: BigInt64Array.from([0n, 30n, 60n, 90n]), positions: positions([47, 8], [47.1, 8.1], [47.2, 8.2], [47.3, 8.3]) };
+
+  it("fills the parts that were not read, each by a line of its own", () => {
+    const rough = roughParts([{ file, track }], [{ fileId: "f", fromNs: 20n, toNs: 40n }]);
+    expect(rough.map(({ content }) => content.points.map(({ timeNs, isStart }) => [timeNs, isStart]))).toEqual([[[0n, true]], [[60n, true], [90n, false]]]);
+    expect(trackPlaces(rough, 0.5)).toHaveLength(3);
+  });
+
+  it("is nothing where all was read, and leaves out what is no position", () => {
+    expect(roughParts([{ file, track }], [{ fileId: "f", fromNs: 0n, toNs: 99n }])).toEqual([]);
+    const wrong = { timesNs: track.timesNs, positions: positions([Number.NaN, 8], [91, 8], [47, -181], [47, 8]) };
+    expect(roughParts([{ file, track: wrong }], [])[0]?.content.points).toEqual([{ latitude: 47, longitude: 8, altitude: null, timeNs: 90n, isStart: true }]);
+  });
+});
+
+describe("the locations of a mission", () => {
+  it("are the fields with coordinates, by the name of the place or of the field", () => {
+    const metadata = { robot: "anymal", site: { ...ZURICH, name: "Yard" }, goal: { latitude: -1, longitude: 180 }, depot: "Zurich" };
+    expect(locationsOf(metadata)).toEqual([{ ...ZURICH, name: "Yard" }, { latitude: -1, longitude: 180, name: "goal" }]);
+  });
+
+  it("leave out what is none, and are bounded", () => {
+    expect(locationsOf({ a: { latitude: 91, longitude: 0 }, b: { latitude: "47", longitude: 8 }, c: null, d: [1, 2], e: { latitude: Number.NaN, longitude: 0 } })).toEqual([]);
+    expect(locationsOf(Object.fromEntries(Array.from({ length: 500 }, (_, number) => [`field${number}`, ZURICH])))).toHaveLength(100);
   });
 });

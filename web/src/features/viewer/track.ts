@@ -1,6 +1,6 @@
 // The track of a topic: its positions over time, thinned so that it stays small.
-import { worldPoint, type LinePlace, type WorldPoint } from "./map_view";
 import type { ReadPart } from "./useParts";
+import { worldPoint, type LinePlace, type WorldPoint } from "@/components/map/map_view";
 import type { Location, Position, Shape } from "@/recordings/products/location";
 import type { ReadMessage } from "@/recordings/products/products";
 
@@ -73,6 +73,11 @@ export function trackPlaces(parts: readonly ReadPart<Track>[], anchorX: number):
     const isContinued = before !== undefined && before.fileId === fileId && before.toNs + 1n === fromNs && !before.content.isBroken;
     return points.map((point, place) => ({ ...worldPoint(point, anchorX), timeNs: point.timeNs, isStart: point.isStart && !(place === 0 && isContinued) }));
   });
+}
+
+/** A place of the mission, of no topic. */
+export interface NamedPlace extends WorldPoint {
+  readonly name: string;
 }
 
 /** The shapes that a topic has on the map at the play head. */

@@ -40,8 +40,11 @@ const AFTER_MESSAGES = 1_000;
 
 type Read = (file: SourceFile, part: Span, maxPages: number) => Promise<number>;
 
+/** Shows something else instead of the beginning of a series; returns whether it did. */
+export type Instead = (files: readonly SourceFile[], signal: AbortSignal) => Promise<boolean>;
+
 /** Gathers messages of a series, and follows it and the play head. */
-export function useParts<P extends ProductName, Content>(series: () => Series, gathering: Gathering<P, Content>, priority: () => number): PartsRead<Content> {
+export function useParts<P extends ProductName, Content>(series: () => Series, gathering: Gathering<P, Content>, priority: () => number, instead?: Instead): PartsRead<Content> {
   const { clock, sources } = useViewer();
   const parts = shallowRef<readonly ReadPart<Content>[]>([]);
   const failure = shallowRef<ReadFailure | null>(null);
@@ -87,7 +90,9 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
   }
 
   function readBeginning(): Promise<boolean> {
+    const { signal } = controller;
     return attempt(async (readPart) => {
+      if ((await instead?.(files.value, signal)) === true || signal.aborted) return;
       let pagesLeft = BEGINNING_PAGES;
       for (const file of files.value) {
         const [part] = unreadParts(file, parts.value);

@@ -1,6 +1,7 @@
 // What the panels of the viewer share: the clock, the recordings, and which panel is selected.
 import { inject, type InjectionKey, type Ref } from "vue";
 import type { Clock } from "./clock";
+import type { NamedPosition } from "./locations";
 import type { Previews } from "./previews";
 import type { ViewerTopic } from "./queries";
 import type { Sources } from "./sources";
@@ -12,6 +13,8 @@ export interface Viewer {
   readonly sources: Sources;
   readonly previews: Previews;
   readonly topics: readonly ViewerTopic[];
+  /** Places in the metadata of the mission. */
+  readonly locations: readonly NamedPosition[];
   /** The place of the panel whose messages the keys `,` and `.` step through. */
   readonly selected: Ref<number>;
 }

@@ -49,7 +49,7 @@ export function isLocationType(messageType: string | null): boolean {
 export function locationOf(message: Value): Location {
   const text = part(message, "geojson");
   if (typeof text === "string") return { position: null, shapes: shapesOf(text) };
-  return { position: hasFix(message) ? positionOf(message) : null, shapes: [] };
+  return { position: hasFix(message) ? positionIn(message) : null, shapes: [] };
 }
 
 /** A receiver that has no fix says so by a negative status. */
@@ -57,12 +57,13 @@ function hasFix(message: Value): boolean {
   return !(numberOf(part(message, "status", "status")) < 0);
 }
 
-function positionOf(message: Value): Position | null {
+function positionIn(message: Value): Position | null {
   const place = PLACES.map((names) => part(message, ...names)).find((inner) => part(inner, "latitude") !== null) ?? null;
-  return position(numberOf(part(place, "latitude")), numberOf(part(place, "longitude")), numberOf(part(place, "altitude")));
+  return positionOf(numberOf(part(place, "latitude")), numberOf(part(place, "longitude")), numberOf(part(place, "altitude")));
 }
 
-function position(latitude: number, longitude: number, altitude: number): Position | null {
+/** Return a position; null for numbers that are none. */
+export function positionOf(latitude: number, longitude: number, altitude: number): Position | null {
   const isUsable = Math.abs(latitude) <= 90 && Math.abs(longitude) <= 180; // false for NaN
   return isUsable ? { latitude, longitude, altitude: Number.isFinite(altitude) ? altitude : null } : null;
 }
@@ -108,7 +109,7 @@ class ShapeCollector {
     if (this.shapes.length >= MAX_SHAPES) return;
     const positions = coordinates.slice(0, this.positionsLeft).flatMap((pair) => {
       const [longitude, latitude, altitude] = listOf(pair).map(numberOf);
-      return position(latitude ?? Number.NaN, longitude ?? Number.NaN, altitude ?? Number.NaN) ?? [];
+      return positionOf(latitude ?? Number.NaN, longitude ?? Number.NaN, altitude ?? Number.NaN) ?? [];
     });
     this.positionsLeft -= positions.length;
     if (positions.length > 0) this.shapes.push({ kind, positions });

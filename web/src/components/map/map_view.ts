@@ -15,12 +15,17 @@ export interface MapView {
   readonly scale: number;
 }
 
+export interface Pixel {
+  readonly left: number;
+  readonly top: number;
+}
+
 export interface Size {
   readonly width: number;
   readonly height: number;
 }
 
-const EQUATOR_M = 2 * Math.PI * 6_378_137;
+export const EQUATOR_M = 2 * Math.PI * 6_378_137;
 /** Mercator ends here. */
 const MAX_LATITUDE = 85.051_128_78;
 /** A view of tracks shows at least so many metres. */
@@ -44,12 +49,17 @@ export function latitudeOf({ y }: WorldPoint): number {
   return Math.atan(Math.sinh((0.5 - y) * 2 * Math.PI)) / RAD;
 }
 
+/** Returns the longitude of a place in degrees, from -180 to 180. */
+export function longitudeOf({ x }: WorldPoint): number {
+  return (x - Math.floor(x) - 0.5) * 360;
+}
+
 /** Returns how many metres a pixel is at the centre of a view. */
 export function metresPerPixel({ centre, scale }: MapView): number {
   return (EQUATOR_M * Math.cos(latitudeOf(centre) * RAD)) / scale;
 }
 
-export function toPixels({ centre, scale }: MapView, { width, height }: Size, { x, y }: WorldPoint): { left: number; top: number } {
+export function toPixels({ centre, scale }: MapView, { width, height }: Size, { x, y }: WorldPoint): Pixel {
   return { left: (x - centre.x) * scale + width / 2, top: (y - centre.y) * scale + height / 2 };
 }
 
@@ -68,7 +78,7 @@ export function fitted(places: readonly WorldPoint[], { width, height }: Size): 
 }
 
 /** Returns the view zoomed around a pixel, which keeps its place. */
-export function zoomed({ centre, scale }: MapView, factor: number, { width, height }: Size, { left, top }: { left: number; top: number }): MapView {
+export function zoomed({ centre, scale }: MapView, factor: number, { width, height }: Size, { left, top }: Pixel): MapView {
   const next = bounded(scale * factor);
   const shift = 1 / scale - 1 / next;
   return { centre: { x: centre.x + (left - width / 2) * shift, y: centre.y + (top - height / 2) * shift }, scale: next };
@@ -132,7 +142,7 @@ export function linePath(view: MapView, size: Size, places: readonly LinePlace[]
 }
 
 /** Returns the place that is nearest to a pixel; null where none is within `maxPixels`. */
-export function nearest<Place extends WorldPoint>(view: MapView, size: Size, places: readonly Place[], at: { left: number; top: number }, maxPixels: number): Place | null {
+export function nearest<Place extends WorldPoint>(view: MapView, size: Size, places: readonly Place[], at: Pixel, maxPixels: number): Place | null {
   let best: Place | null = null;
   let bestPixels = maxPixels;
   for (const place of places) {
