@@ -142,13 +142,13 @@ def test_maps_have_the_first_fix_of_a_recording_until_its_preview_is_deleted(api
     assert api.get("/mission-positions", query).ok()["items"] == []
 
 
-@pytest.mark.parametrize("position", ['[91, 8]', '[NaN, 8]', '[0, 0]', '[1e999, 8]'])
+@pytest.mark.parametrize("position", ["[91, 8]", "[NaN, 8]", "[0, 0]", "[1e999, 8]"])
 def test_a_position_that_a_reader_falsified_is_none(position: str) -> None:
     answer = f'{{"preview": {{"data": "", "thumbnail": null, "position": {position}}}}}'.encode()
     assert read_preview_answer(answer, b"", 0).position is None
 
 
-@pytest.mark.parametrize("position", ['["47", "8"]', '[47]', '47', '{"latitude": 47}', '[[47], 8]'])
+@pytest.mark.parametrize("position", ['["47", "8"]', "[47]", "47", '{"latitude": 47}', "[[47], 8]"])
 def test_an_answer_with_a_malformed_position_is_refused(position: str) -> None:
     answer = f'{{"preview": {{"data": "", "thumbnail": null, "position": {position}}}}}'.encode()
     with pytest.raises(SummaryFailed, match="its answer cannot be understood"):

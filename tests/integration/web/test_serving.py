@@ -11,6 +11,7 @@ import urllib3
 from kleinkram.server.access.operations import WEB_PATHS
 from kleinkram.server.http.web_app import BUILT
 from tests.integration.api_server import Api
+from tests.integration.conftest import StartApi
 
 _POOL = urllib3.PoolManager(retries=False, timeout=20)
 _ROUTES = Path(__file__).parents[3] / "web" / "src" / "router" / "routes.ts"
@@ -96,6 +97,18 @@ def test_the_content_security_policy_allows_own_scripts_and_the_store(api: Api) 
     html = _get(api, "/").data.decode()
     assert not re.search(r"<script(?![^>]*\ssrc=)|<style|\sstyle=|\son\w+=", html), "nothing inline"
     assert not re.search(r"(src|href)=\"(https?:)?//", html), "nothing from elsewhere"
+
+
+def test_images_of_map_tiles_are_allowed_from_their_server_alone(start_api: StartApi, api: Api) -> None:
+    source = {"map_tiles_url": "https://Tiles.example:443/{z}/{x}/{y}.png?key=k", "map_tiles_attribution": "© A <b>"}
+    with_tiles = start_api(**source, map_tiles_max_zoom=17)
+    policies = [_get(server, "/").headers["content-security-policy"] for server in (api, with_tiles)]
+    assert policies[1] == policies[0].replace(
+        "img-src 'self' blob: data:;", "img-src 'self' blob: data: https://tiles.example;"
+    )
+    assert api.get("/service").ok()["map_tiles"] is None
+    shown = with_tiles.as_(None).get("/service").ok()["map_tiles"]
+    assert shown == {"url": source["map_tiles_url"], "attribution": "© A <b>", "max_zoom": 17}
 
 
 def test_built_assets_are_cached_forever_and_sent_compressed(api: Api) -> None:

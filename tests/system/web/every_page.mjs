@@ -336,6 +336,7 @@ const loadedResults = { ready: "[data-results]" };
 await checkPage(page, "search", { path: "/search", ...loadedResults, expectedTexts: [texts.recording, texts.label] });
 await checkPage(page, "search-missions", { path: "/search?tab=missions", ...loadedResults, expectedTexts: [mission] });
 await checkPage(page, "search-topics", { path: "/search?tab=topics", ...loadedResults, expectedTexts: [texts.topic, texts.type] });
+await checkPage(page, "search-map", { path: "/search?tab=map", ready: "[data-missions-map]" });
 await checkPage(page, "search-nothing", { path: `/search?q=${encodeURIComponent(`"${texts.label}" nothing`)}`, ...loadedResults });
 await checkPage(page, "search-wrong", { path: `/search?q=${encodeURIComponent(`size:${texts.label}`)}`, allowedErrors: CLIENT_ERROR });
 await checkPage(page, "people", { path: "/people", expectedTexts: [texts.person] });

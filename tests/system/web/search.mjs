@@ -1,11 +1,12 @@
 // Search: opens it by a key, adds terms by typing and clicking, enters an invalid query, opens a file and returns, sets
-// labels, shares the selected file, downloads results by a script.
+// labels, shares the selected file, downloads results by a script, and uses the map of missions.
 // Prints the results as JSON. Arguments: the folder with playwright-core and axe-core, the browser, a sign-in link, the
-// server's address, the folder for screenshots.
+// server's address, the folder for screenshots, the id of a project.
 import { readFile } from "node:fs/promises";
 import { openBrowser } from "./browsing.mjs";
+import { useMissionsMap } from "./missions_map.mjs";
 
-const [web, executablePath, link, address, pictures] = process.argv.slice(2);
+const [web, executablePath, link, address, pictures, project] = process.argv.slice(2);
 const { results, openPage, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 let expectsErrors = false;
 const { page } = await openPage(() => expectsErrors);
@@ -124,6 +125,10 @@ results.downloadSize = await dialog.locator("strong").innerText();
 await checkPage(page, "search-download");
 const [script] = await Promise.all([page.waitForEvent("download"), dialog.getByRole("button", { name: "Save as a script" }).click()]);
 results.script = await readFile(await script.path(), "utf8");
+
+expectsErrors = true; // the server of the tiles refuses half of them
+results.map = await useMissionsMap(page, address, project, checkPage);
+expectsErrors = false;
 
 // An anonymous visitor sees public projects only.
 const { page: anonymous } = await openPage(() => true); // the page requests the account, which is refused with 401

@@ -43,7 +43,9 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
     }
     terminal = shared_cluster.terminal
     terminal.run("project", "create", "Valais")
-    terminal.run("upload", "-p", "Valais", "-m", "day", "--create", "--wait", f"{day}/")
+    (tmp_path / "metadata.yaml").write_text("depot: {latitude: 46.9, longitude: 7.4}\nrobot: anymal\n")
+    place = ("-p", "Valais", "-m", "day", "--create", "--metadata", tmp_path / "metadata.yaml")
+    terminal.run("upload", *place, "--wait", f"{day}/")
 
     def files() -> dict[str, dict[str, Any]]:
         return {file["path"]: file for file in terminal.run("file", "list", "-p", "Valais", "--json").json()["items"]}
@@ -60,6 +62,7 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
         "plot": f"plot*:{mcap_key}@{_IMU},linear_acceleration.x,linear_acceleration.z",
         "twoTopics": f"plot*:{mcap_key}@{_IMU},linear_acceleration.x;{keys['drive.bag']}@{_ODOM},pose.pose.position.x",
         "log": f"log:{keys['log.mcap']}@/log",
+        "map": f"map:{mcap_key}@/gps/fix",
     }
     later_ns = mcap.start_ns + 2_345_678_901
     mission_id, file_id = known["drive.mcap"]["mission"]["id"], known["drive.mcap"]["id"]
@@ -76,6 +79,7 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
     assert "In the grey parts, curves come from the preview" in results["notice"]
     assert int(results["whole"]["messages"]) == imu_count
     assert results["whole"]["values"] == results["later"]["plot"]["values"]
+    _assert_map(results["map"], next(topic.count for topic in mcap.topics if topic.name == "/gps/fix"))
     _assert_steps(results, paths["drive.mcap"], later_ns)
     playing = results["playing"]
     assert playing["movedImage"]
@@ -101,6 +105,16 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
         fix = next(iter(recording.messages("/gps/fix")))
     assert int(results["gps"]["logTime"]) == fix.log_time_ns
     assert dict(results["gps"]["leaves"])["latitude"] == str(fix.value.latitude)
+
+
+def _assert_map(shown: dict[str, Any], fix_count: int) -> None:
+    assert 0 < shown["positions"] < fix_count, "a map reads part of a large recording"
+    assert shown["rough"] > 0, "and shows the rest from the preview"
+    assert shown["marks"] == ["depot"]
+    whole = shown["whole"]
+    assert (whole["positions"], whole["rough"]) == (fix_count, 0)
+    # The noise of single fixes makes the whole track somewhat longer than the thinned one.
+    assert shown["rough"] + shown["read"] == pytest.approx(whole["read"], rel=0.3)
 
 
 def _assert_formats(results: dict[str, Any], paths: dict[str, Path], at_ns: int) -> None:

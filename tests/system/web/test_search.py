@@ -1,18 +1,29 @@
-"""Search in a real browser, from a word to downloaded files."""
+"""Search in a real browser, from a word to downloaded files, and on a map with tiles."""
 
+import io
+import re
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from kleinkram.recordings.sample import generate_mcap
 from tests.acceptance.conftest import Terminal, wait_until
+from tests.http_server import QuietHandler, serving
 from tests.klein import KLEIN
 from tests.system.cluster import Cluster
 from tests.system.web.conftest import RunBrowser
 
 _MARKUP = "Wet <img src=x onerror=alert(1)> <b>grass<b>"
+_FIELDS = """
+fields:
+  - {name: site, type: location}
+"""
+_TILE = re.compile(r"/tiles/(\d+)/(\d+)/(\d+)\.png\?key=a")
 
 
 @pytest.mark.slow
@@ -20,12 +31,16 @@ _MARKUP = "Wet <img src=x onerror=alert(1)> <b>grass<b>"
 def test_search_results_are_labelled_shared_and_downloaded(
     cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
 ) -> None:
-    cluster.start()
-    sources = _create_missions(cluster.terminal, tmp_path)
-
-    results = run_browser("search.mjs", cluster, pictures)
+    with _tile_server() as (port, requests):
+        cluster.settings["KLEINKRAM_MAP_TILES_URL"] = f"http://127.0.0.1:{port}/tiles/{{z}}/{{x}}/{{y}}.png?key=a"
+        cluster.settings["KLEINKRAM_MAP_TILES_ATTRIBUTION"] = "© <b>Tiles</b> of a test"
+        cluster.start()
+        sources = _create_missions(cluster.terminal, tmp_path)
+        project_id = _create_sites(cluster.terminal, tmp_path)
+        results = run_browser("search.mjs", cluster, pictures, project_id)
 
     _check_results(results)
+    _check_map(results["map"], requests, cluster)
     _check_shares(results, cluster.terminal)
     fetched = _run_download_script(results, cluster.terminal, tmp_path)
     assert fetched == {f"Alps/{mission}/drive.mcap": sources[mission] for mission in ("traverse", _MARKUP)}, (
@@ -55,6 +70,58 @@ def _create_missions(terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
     return sources
 
 
+def _create_sites(terminal: Terminal, tmp_path: Path) -> str:
+    """Create a mission with a location, and one without; wait for the positions of recordings; return the project."""
+    (tmp_path / "fields.yaml").write_text(_FIELDS)
+    (tmp_path / "depot.yaml").write_text("site: {latitude: 46.9, longitude: 7.4, name: Yard}\n")
+    project = terminal.run("project", "create", "Sites", "--fields", tmp_path / "fields.yaml", "--json").json()
+    terminal.run("mission", "create", "depot", "-p", "Sites", "--metadata", tmp_path / "depot.yaml")
+    terminal.run("mission", "create", "nowhere", "-p", "Sites")
+
+    def sources() -> list[str]:
+        return sorted(it["source"] for it in terminal.run("mission", "positions", "--json").json()["items"])
+
+    wait_until(lambda: sources() == ["metadata", *["recording"] * 3], "the previews to have positions")
+    return str(project["id"])
+
+
+@contextmanager
+def _tile_server() -> Iterator[tuple[int, list[tuple[str, str | None]]]]:
+    """Serve tiles of a map, refusing every second one; yield the port, and the paths and referrers of requests."""
+    requests: list[tuple[str, str | None]] = []
+    png = io.BytesIO()
+    Image.new("RGB", (256, 256), (170, 200, 220)).save(png, "PNG")
+
+    class Tiles(QuietHandler):
+        def do_GET(self) -> None:
+            requests.append((self.path, self.headers.get("Referer")))
+            tile = _TILE.fullmatch(self.path)
+            is_served = tile is not None and (int(tile[2]) + int(tile[3])) % 2 == 0
+            self.send(200 if is_served else 404, png.getvalue() if is_served else b"", {"Content-Type": "image/png"})
+
+    with serving(Tiles) as port:
+        yield port, requests
+
+
+def _check_map(shown: dict[str, Any], requests: list[tuple[str, str | None]], cluster: Cluster) -> None:
+    first = shown["shown"]
+    assert (first["placed"], first["clusters"], first["missions"]) == (4, ["3"], ["depot"])
+    assert "1 mission without a known position." in first["notes"]
+    assert first["attribution"] == "© <b>Tiles</b> of a test"
+    assert shown["far"] == ["4"]
+    assert shown["near"] == {"clusters": ["3"], "missions": ["depot"]}
+    assert sorted(shown["listed"]["names"]) == sorted(["traverse", _MARKUP, "night"])
+    assert shown["listed"]["hasFocus"]
+    assert shown["opened"] == "depot"
+    assert shown["ofProject"] == 1
+    visible = {url: visibility == "visible" for url, visibility in first["tiles"]}
+    tiles = {url: _TILE.search(url) for url in visible}
+    assert len(tiles) > 4
+    assert all(visible[url] == ((int(tile[2]) + int(tile[3])) % 2 == 0) for url, tile in tiles.items() if tile)
+    assert all(_TILE.fullmatch(path) for path, _ in requests)
+    assert {referrer for _, referrer in requests} == {f"http://127.0.0.1:{cluster.port}/"}, "no path, no query"
+
+
 def _check_results(results: dict[str, Any]) -> None:
     assert results["consoleErrors"] == []
     assert results["axe"] == []
@@ -62,7 +129,7 @@ def _check_results(results: dict[str, Any]) -> None:
     assert results["executed"] == [], "markup was run"
     assert "1 file broken" in results["home"]
     assert _MARKUP in results["home"]
-    assert [tab.split() for tab in results["tabs"]] == [["Files", "9"], ["Missions", "3"], ["Topics", "7"]]
+    assert [tab.split() for tab in results["tabs"]] == [["Files", "9"], ["Missions", "5"], ["Topics", "7"], ["Map"]]
     typed = results["typed"]
     assert typed["urlQuery"] == "alps topic:/imu/* format:mcap"
     assert typed["command"].strip() == "klein search 'alps topic:/imu/* format:mcap'"

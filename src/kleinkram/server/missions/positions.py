@@ -5,7 +5,20 @@ Positions are those of the previews of recordings, whose bytes nobody believes: 
 
 from typing import Any
 
-from sqlalchemy import ColumnElement, Double, Lateral, Numeric, Select, Subquery, cast, column, false, func, select, true
+from sqlalchemy import (
+    ColumnElement,
+    Double,
+    Lateral,
+    Numeric,
+    Select,
+    Subquery,
+    cast,
+    column,
+    false,
+    func,
+    select,
+    true,
+)
 from sqlalchemy.dialects.postgresql import JSONB, JSONPATH
 
 from kleinkram.contract.files import FileFilter
