@@ -12,10 +12,12 @@ from sqlalchemy import (
     Numeric,
     Select,
     Subquery,
+    Text,
     cast,
     column,
     false,
     func,
+    literal,
     select,
     true,
 )
@@ -123,7 +125,7 @@ def _declared_position(actor: Actor, listed: Subquery) -> Lateral:
     place = _part(listed.c.metadata, entry["name"].astext)
 
     def degrees(name: str) -> ColumnElement[float]:
-        return cast(func.round(cast(_part(place, name), Numeric), _DECIMALS), Double)
+        return cast(func.round(cast(_part(place, literal(name, Text)), Numeric), _DECIMALS), Double)
 
     stmt = select(degrees("latitude").label("latitude"), degrees("longitude").label("longitude"))
     stmt = stmt.select_from(listed_fields).where(
@@ -134,5 +136,5 @@ def _declared_position(actor: Actor, listed: Subquery) -> Lateral:
     return stmt.order_by(listed_fields.c.number).limit(1).lateral("declared")
 
 
-def _part(value: ColumnElement[Any], key: ColumnElement[str] | str) -> ColumnElement[Any]:
+def _part(value: ColumnElement[Any], key: ColumnElement[str]) -> ColumnElement[Any]:
     return value.op("->", return_type=JSONB())(key)
