@@ -1415,6 +1415,26 @@ export interface paths {
         patch: operations["update_mission_event"];
         trace?: never;
     };
+    "/api/v1/mission-positions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Mission Positions
+         * @description Return where the latest missions that match were recorded: their first positions.
+         */
+        get: operations["list_mission_positions"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/missions": {
         parameters: {
             query?: never;
@@ -5590,6 +5610,20 @@ export interface components {
             url: string;
         };
         /**
+         * MapTiles
+         * @description The tiles of maps: `{z}`, `{x}` and `{y}` in `url` stand for zoom, column and row (Web Mercator, 256 pixels).
+         *
+         *     Nearer than `max_zoom`, those of `max_zoom` are enlarged. `attribution` is to be shown beside the map.
+         */
+        MapTiles: {
+            /** Attribution */
+            attribution: string;
+            /** Max Zoom */
+            max_zoom: number;
+            /** Url */
+            url: string;
+        };
+        /**
          * MemberRead
          * @description A member of a group. Only its editors and admins see `emails`, and members who are not active.
          *
@@ -6189,6 +6223,32 @@ export interface components {
             items: components["schemas"]["MissionPicture"][];
             /** Thumbnails */
             thumbnails: components["schemas"]["MissionThumbnail"][];
+        };
+        /**
+         * MissionPosition
+         * @description Where a mission is on the map, in degrees (WGS 84).
+         */
+        MissionPosition: {
+            /** Latitude */
+            latitude: number;
+            /** Longitude */
+            longitude: number;
+            mission: components["schemas"]["MissionRef"];
+            source: components["schemas"]["PositionSource"];
+        };
+        /**
+         * MissionPositions
+         * @description The positions of the 2,000 missions that were recorded last, of those that match.
+         *
+         *     `unplaced_count` of these have no known position; `left_out_count` are the earlier missions that match.
+         */
+        MissionPositions: {
+            /** Items */
+            items: components["schemas"]["MissionPosition"][];
+            /** Left Out Count */
+            left_out_count: number;
+            /** Unplaced Count */
+            unplaced_count: number;
         };
         /**
          * MissionPreview
@@ -6954,6 +7014,12 @@ export interface components {
             /** Mission Ids */
             mission_ids: string[];
         };
+        /**
+         * PositionSource
+         * @description Where the position of a mission is known from.
+         * @enum {string}
+         */
+        PositionSource: "recording" | "metadata";
         /**
          * Preview
          * @description A picture (PNG, JPEG, SVG), table (CSV) or track (GeoJSON) among the artifacts that is shown with the run.
@@ -8291,12 +8357,14 @@ export interface components {
          *
          *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers. `token_days_max` 0: tokens
          *     without an end are allowed. `weakest_isolation`: the weakest that owners of projects may allow for runs.
+         *     `map_tiles`: where pages get the tiles of maps, if that is set.
          */
         ServiceRead: {
             /** Checksum */
             checksum: string;
             /** Has Local Accounts */
             has_local_accounts: boolean;
+            map_tiles?: components["schemas"]["MapTiles"] | null;
             /** Name */
             name: string;
             person: components["schemas"]["PersonRef"] | null;
@@ -11969,6 +12037,55 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["MissionEventRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_mission_positions: {
+        parameters: {
+            query?: {
+                check?: string[];
+                completed?: boolean | null;
+                event?: string[];
+                finding?: string[];
+                message_type?: string[];
+                metric?: string[];
+                missions?: string[];
+                name?: string | null;
+                project?: string | null;
+                project_id?: string | null;
+                projects?: string[];
+                query?: string | null;
+                recorded_after?: string | null;
+                recorded_before?: string | null;
+                satisfied?: boolean | null;
+                text?: string | null;
+                topic?: string[];
+                verdict?: components["schemas"]["Verdict"][];
+                where?: string[];
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MissionPositions"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

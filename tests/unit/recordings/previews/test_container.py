@@ -102,7 +102,6 @@ def test_the_picture_that_stands_for_a_recording_is_in_the_middle_of_its_busiest
         representative_thumbnail(encode(preview)[:200])
 
 
-@pytest.mark.parametrize("max_bytes", [5_000_000, 400_000, 100_000, 20_000, 3_000, 300])
 @pytest.mark.parametrize(
     ("latitude", "longitude", "is_usable"),
     [
@@ -137,6 +136,7 @@ def test_the_first_position_is_the_earliest_usable_one_of_the_fixes() -> None:
         first_position(encode(preview)[:200])
 
 
+@pytest.mark.parametrize("max_bytes", [5_000_000, 400_000, 100_000, 20_000, 3_000, 300])
 def test_a_preview_has_at_most_its_size(max_bytes: int) -> None:
     preview = _preview(topics=40, bins=3000, field_count=3)
     data = encode_within(preview, max_bytes)

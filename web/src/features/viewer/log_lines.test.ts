@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { isLogType, linesOf, matchingLines, placeAt, type Line } from "./log_lines";
+import { isLogType, linesOf, matchingLines, placeAt, roughLines, withRough, type Line } from "./log_lines";
 
 it.each([
   ["rosgraph_msgs/Log", { level: 4, name: "/driver", msg: "late" }, ["warning", "/driver", "late"]],
