@@ -340,7 +340,7 @@ def _make_preview(request: dict[str, Any]) -> PreviewAnswer:
         left_s = max(0.0, request["cpu_s"] - (time.monotonic() - started_s)) / 2
         data = make_preview(recording, PreviewLimits(cpu_s=left_s, wall_s=left_s))
     thumbnail = representative_thumbnail(data)
-    return PreviewAnswer(data, thumbnail and thumbnail.jpeg, first_position(data))
+    return PreviewAnswer(data, None if thumbnail is None else thumbnail.jpeg, first_position(data))
 
 
 def _preview_to_dict(preview: PreviewAnswer) -> dict[str, object]:

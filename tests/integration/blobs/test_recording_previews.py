@@ -135,7 +135,7 @@ def test_maps_have_the_first_fix_of_a_recording_until_its_preview_is_deleted(api
     run_jobs(api)
     (shown,) = api.get("/mission-positions", query).ok()["items"]
     with Recording.open(tmp_path / "drive.mcap") as recording:
-        fixes = [message.value() for message in recording.messages(["/gps/fix"])]
+        fixes = [message.value for message in recording.messages("/gps/fix")]
     first = next(fix for fix in fixes if fix.status.status >= 0)
     assert (shown["latitude"], shown["longitude"]) == (first.latitude, first.longitude)
     api.delete(f"/files/{file['id']}/preview").ok()

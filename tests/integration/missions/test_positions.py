@@ -199,4 +199,4 @@ def test_the_sdk_returns_positions(api: Api, sample: Sample) -> None:
         (only,) = answer.items
         assert (str(only.mission.id), only.latitude, only.longitude) == (mission["id"], -33.5, 151.25)
         assert (only.source.value, answer.unplaced_count) == ("recording", 1)
-        assert client.missions.positions(query=f"project:{project['name']}").items == [only]
+        assert client.missions.positions(query=f'project:"{project["name"]}"').items == [only]

@@ -31,7 +31,7 @@ _COUNT_WAITING = text(
 
 
 # What is stored of a preview for lists and maps; it ends with the preview.
-_NO_EXTRACTS: Mapping[str, object] = {"thumbnail": None, "latitude": None, "longitude": None}
+_NO_EXTRACTS: dict[str, object] = {"thumbnail": None, "latitude": None, "longitude": None}
 
 
 class RecordingPreviewRow(NamedTuple):

@@ -8,7 +8,6 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     Double,
-    Lateral,
     Numeric,
     Select,
     Subquery,
@@ -22,6 +21,7 @@ from sqlalchemy import (
     true,
 )
 from sqlalchemy.dialects.postgresql import JSONB, JSONPATH
+from sqlalchemy.sql.selectable import LateralFromClause
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import FieldType
@@ -103,7 +103,7 @@ def _latest_positions(
     )
 
 
-def _recorded_position(actor: Actor, listed: Subquery) -> Lateral:
+def _recorded_position(actor: Actor, listed: Subquery) -> LateralFromClause:
     """Return the first position of each mission's recordings that are shown to `actor`."""
     stmt = select(recording_preview.c.latitude, recording_preview.c.longitude)
     stmt = stmt.join_from(file, recording_preview, recording_preview.c.blob_id == file.c.blob_id)
@@ -117,7 +117,7 @@ def _recorded_position(actor: Actor, listed: Subquery) -> Lateral:
     return stmt.order_by(file.c.start_ns.asc().nulls_last(), file.c.id).limit(1).lateral("recorded")
 
 
-def _declared_position(actor: Actor, listed: Subquery) -> Lateral:
+def _declared_position(actor: Actor, listed: Subquery) -> LateralFromClause:
     """Return the first usable location in each mission's metadata, if the actor sees metadata."""
     fields = func.jsonb_array_elements(listed.c.metadata_fields["fields"])
     listed_fields = fields.table_valued(column("entry", JSONB), with_ordinality="number").render_derived(name="field")

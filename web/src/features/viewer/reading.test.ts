@@ -59,7 +59,7 @@ function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, p
   const clock = effectScope().run(() => useClock(SPAN, [SPAN], startNs));
   if (clock === undefined) throw new Error("no clock");
   const previews = new Previews(() => Promise.resolve((preview ?? null) as PreviewFile | null));
-  const viewer: Viewer = { clock, sources, previews, topics: [], selected: ref(0) };
+  const viewer: Viewer = { clock, sources, previews, topics: [], locations: [], selected: ref(0) };
   /** Runs a composable in the viewer. */
   function using<Result>(setup: () => Result): Result {
     const results: Result[] = [];
