@@ -36,6 +36,7 @@ export async function useMissionsMap(page, address, projectId, checkPage) {
 
   await page.locator("[data-mission]").first().click();
   await page.waitForURL((url) => url.pathname.startsWith("/missions/"));
+  await page.locator("[data-metadata]").waitFor();
   const opened = await page.locator("h1").innerText();
 
   await page.goto(`${address}/projects/${projectId}`);

@@ -54,7 +54,7 @@ def _create_missions(terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
     for seed, (project, mission) in enumerate([("Alps", "traverse"), ("Alps", _MARKUP), ("Lakes", "night")]):
         folder = tmp_path / f"from-{seed}"
         folder.mkdir()
-        recording = generate_mcap(folder / "drive.mcap", size_bytes=200_000, seed=seed + 1).path
+        recording = generate_mcap(folder / "drive.mcap", size_bytes=300_000, seed=seed + 1).path
         sources[mission] = Path(recording).read_bytes()
         (folder / "notes.txt").write_text(f"{mission}\n")
         (folder / "cut.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
