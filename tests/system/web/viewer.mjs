@@ -72,19 +72,6 @@ await panel(4).locator("[data-unread]").waitFor({ state: "detached" });
 results.whole = await plotOf(4);
 await checkPage(page, "viewer");
 
-// The track of the preview at once, and after reading all, the positions.
-await goTo(["map"], laterNs);
-await panel(0).locator("[data-rough]").waitFor();
-await panel(0).locator("[data-positions][data-log-time]").waitFor();
-const lengthOf = (selector) => panel(0).locator(selector).evaluateAll((paths) => paths.reduce((sum, path) => sum + path.getTotalLength(), 0));
-const positionsRead = async () => Number(await panel(0).locator("[data-positions]").getAttribute("data-positions"));
-const rough = { positions: await positionsRead(), rough: await lengthOf("[data-rough-track]"), read: await lengthOf("[data-track]"), marks: await panel(0).locator("[data-mark]").allTextContents() };
-await checkPage(page, "viewer-map-rough");
-await panel(0).getByRole("button", { name: "Read all" }).click();
-await panel(0).locator("[data-rough]").waitFor({ state: "detached" });
-await panel(0).locator("[data-positions]").waitFor();
-results.map = { ...rough, whole: { positions: await positionsRead(), rough: await lengthOf("[data-rough-track]"), read: await lengthOf("[data-track]") } };
-
 // Keys: the next and previous message of the selected panel, one second, the ends.
 await panel(0).locator("h2").click();
 for (const [name, key] of [["next", "."], ["nextAgain", "."], ["previous", ","]]) {
@@ -100,6 +87,19 @@ await page.keyboard.press("Home");
 results.home = await timeOf();
 await page.keyboard.press("End");
 results.end = await timeOf();
+
+// The track of the preview at once, and after reading all, the positions.
+await goTo(["map"], laterNs);
+await panel(0).locator("[data-rough]").waitFor();
+await panel(0).locator("[data-positions][data-log-time]").waitFor();
+const lengthOf = (selector) => panel(0).locator(selector).evaluateAll((paths) => paths.reduce((sum, path) => sum + path.getTotalLength(), 0));
+const positionsRead = async () => Number(await panel(0).locator("[data-positions]").getAttribute("data-positions"));
+const rough = { positions: await positionsRead(), rough: await lengthOf("[data-rough-track]"), read: await lengthOf("[data-track]"), marks: await panel(0).locator("[data-mark]").allTextContents() };
+await checkPage(page, "viewer-map-rough");
+await panel(0).getByRole("button", { name: "Read all" }).click();
+await panel(0).locator("[data-rough]").waitFor({ state: "detached" });
+await panel(0).locator("[data-positions]").waitFor();
+results.map = { ...rough, whole: { positions: await positionsRead(), rough: await lengthOf("[data-rough-track]"), read: await lengthOf("[data-track]") } };
 
 // Playing goes forward, and the space bar stops it.
 await goTo(["mcapImage", "imu"], laterNs);
