@@ -34,7 +34,7 @@ it("follows a picture: detections with its stamp, or the last ones before it, or
   const sources = new Sources([{ key: "k", name: "", files: [{ id: "f", path: "f", format: "mcap", size_bytes: 1, span: SPAN }] }], () => reader);
   const clock = effectScope().run(() => useClock(SPAN, [SPAN], SPAN.fromNs));
   if (clock === undefined) throw new Error("no clock");
-  const viewer: Viewer = { clock, sources, previews: new Previews(() => Promise.resolve(null)), topics: [], selected: ref(0) };
+  const viewer: Viewer = { clock, sources, previews: new Previews(() => Promise.resolve(null)), topics: [], locations: [], selected: ref(0) };
   const picture = shallowRef<AnnotatedPicture | null>(null);
   const topic = ref("/boxes");
   const results: ReturnType<typeof useAnnotations>[] = [];
