@@ -6,7 +6,9 @@ import { fonts } from "./scripts/fonts.ts";
 
 // Where `klein up` listens while one develops; see docs/developing-the-web.md.
 const api = process.env.KLEINKRAM_API ?? "http://127.0.0.1:8000";
-const OF_THE_SERVER = ["/api", "/sign-in", "/s", "/static", "/health", "/openapi.json"];
+const OF_THE_SERVER = ["/api", "/sign-in", "/s/static", "/static", "/health", "/openapi.json"];
+/** The page of share links, but not its viewer, which is part of the app. */
+const SHARE_PAGE = "^/s($|[?])";
 
 /** The name of a file that several pages share, which else consists of the names of all of them. */
 const shortName = (name: string): string => name.replace(/~.*/, "");
@@ -38,7 +40,7 @@ export default defineConfig({
     strictPort: true,
     fs: { allow: [".."] },
     proxy: Object.fromEntries(
-      OF_THE_SERVER.map((path) => [`^${path}($|[/?])`, { target: api, changeOrigin: true, headers: { origin: api } }]),
+      [SHARE_PAGE, ...OF_THE_SERVER.map((path) => `^${path}($|[/?])`)].map((path) => [path, { target: api, changeOrigin: true, headers: { origin: api } }]),
     ),
   },
   // Files share the modules they import: a third of the CPU time. None may leave state in a module.

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings.sample import generate_mcap
+from tests.acceptance.conftest import wait_until
 from tests.requirements import need_browser
 from tests.system.cluster import Cluster
 
@@ -69,7 +70,10 @@ def test_the_share_page_of_a_mission_shows_metadata_topics_and_a_picture(
     place = ["-p", "Jura", "-m", "Day"]
     terminal.run("upload", *place, "--create", "--metadata", tmp_path / "said.yaml", f"{folder}/", "--wait")
 
-    seen = _seen(browser, terminal.run("share", "create", *place).out.strip())
+    link = terminal.run("share", "create", *place).out.strip()
+    seen = _seen(browser, link)
+    assert f'href="/s/view#{link.partition("#")[2]}"' in seen, "a link to the viewer"
+    wait_until(lambda: 'alt="Picture of a camera"' in _seen(browser, link), "the thumbnail of the recording")
     assert "&lt;i&gt;anymal&lt;/i&gt;" in seen
     assert "47, 8.5" in seen
     assert "/imu/data" in seen
@@ -79,3 +83,4 @@ def test_the_share_page_of_a_mission_shows_metadata_topics_and_a_picture(
     some = _seen(browser, terminal.run("share", "create", "preview.png", *place).out.strip())
     assert "anymal" not in some, "a link to some files shows no metadata of the mission"
     assert "/imu/data" not in some
+    assert "/s/view" not in some, "a picture is no recording"

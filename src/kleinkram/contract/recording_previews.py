@@ -3,8 +3,13 @@
 import datetime
 import enum
 import uuid
+from typing import Annotated
 
-from kleinkram.contract.base import Response
+from pydantic import Field
+
+from kleinkram.contract.base import Request, Response
+
+MAX_THUMBNAIL_FILES = 200
 
 
 class RecordingPreviewState(str, enum.Enum):
@@ -32,3 +37,22 @@ class RecordingPreviewRead(Response):
     made_at: datetime.datetime | None = None
     url: str | None = None
     expires_at: datetime.datetime | None = None
+
+
+class ThumbnailsRequest(Request):
+    """The files of a list."""
+
+    file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_THUMBNAIL_FILES)]
+
+
+class FileThumbnail(Response):
+    """A picture that a camera recorded in a file, of at most 160 by 160 pixels: a JPEG in base64."""
+
+    file_id: uuid.UUID
+    jpeg: str
+
+
+class FileThumbnails(Response):
+    """The thumbnails of those files that have one, in no order."""
+
+    items: list[FileThumbnail]

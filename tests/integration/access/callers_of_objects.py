@@ -217,7 +217,24 @@ OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
         # Refused for the content of the file, after the rights.
         Caller(post("/files/{file}/preview"), Target.file, accepted_code="invalid_request"),
     ),
-    "delete_recording_preview": (Caller(delete("/files/{file}/preview"), Target.file),),
+    "delete_recording_preview": (
+        Caller(
+            delete("/files/{file}/preview"),
+            Target.file,
+            undo=sets(
+                "UPDATE recording_preview SET thumbnail = 'JPEG' "
+                "WHERE blob_id = (SELECT blob_id FROM file WHERE id = %s)",
+                "file",
+            ),
+        ),
+    ),
+    "get_file_thumbnails": (
+        Caller(
+            post("/files/thumbnails", lambda principal: {"file_ids": [principal.objects.file]}),
+            Target.file,
+            shows=has_items,
+        ),
+    ),
     "verify_file": (Caller(post("/files/{file}/verify"), Target.file),),
     "update_file": (Caller(patch("/files/{file}", lambda _: {"labels": []}), Target.file),),
     "move_file": (

@@ -272,6 +272,86 @@ def test_its_creator_and_writers_can_revoke_a_share(api: Api, outing: Outing) ->
     hers.delete(f"/shares/{second}").ok(204)
 
 
+def test_the_viewer_of_a_share_of_files_reads_nothing_of_the_others(api: Api, outing: Outing) -> None:
+    mission_id, project_id = outing.mission["id"], outing.project["id"]
+    event = {"name": "stumble", "start_ns": 1, "file_id": outing.first, "note": "the secret of the event"}
+    event_id = api.post(f"/missions/{mission_id}/events", event).ok(201)["id"]
+    guest = api.as_(_link(api, mission_id, file_ids=[outing.first])["secret"])
+    files = guest.all("/files", {"mission_id": mission_id, "format": "mcap", "content": "indexed"})
+    assert [file["id"] for file in files] == [outing.first]
+    topics = guest.get(f"/missions/{mission_id}/topics", {"bins": "192"}).ok()
+    assert [topic["name"] for topic in topics["items"]] == ["/imu"]
+    assert topics["recordings"] == [], "half a recording is none to them"
+    assert topics["is_current"], "the viewer does not wait for more"
+    assert [topic["name"] for topic in guest.all(f"/files/{outing.first}/topics")] == ["/imu"]
+    assert guest.get(f"/files/{outing.first}/preview").ok()["state"] == "none"
+    for hidden in (outing.second, outing.other):
+        for part in ("", "/topics", "/preview", "/slice.mcap"):
+            guest.get(f"/files/{hidden}{part}").refused(404, "not_found")
+        guest.post("/files/download", {"file_ids": [hidden], "purpose": "preview"}).refused(404, "not_found")
+    assert guest.all("/mission-events", {"mission_id": mission_id}) == []
+    guest.get(f"/mission-events/{event_id}").refused(404, "not_found")
+    guest.get(f"/projects/{project_id}/viewer-layouts").refused(404, "not_found")
+
+
+def test_the_viewer_of_a_share_of_a_mission_shows_events_without_people_and_changes_nothing(
+    api: Api, outing: Outing
+) -> None:
+    mission_id, project_id = outing.mission["id"], outing.project["id"]
+    event_id = api.post(f"/missions/{mission_id}/events", {"name": "stumble", "start_ns": 1}).ok(201)["id"]
+    layout = {"name": "mine", "panels": ["plot:1@/imu"]}
+    api.post(f"/projects/{project_id}/viewer-layouts", layout).ok(201)
+    guest = api.as_(_link(api, mission_id)["secret"])
+    (event,) = guest.all("/mission-events", {"mission_id": mission_id})
+    assert (event["id"], event["created_by"]) == (event_id, None)
+    guest.get(f"/projects/{project_id}/viewer-layouts").refused(404, "not_found")
+    for refused in (
+        guest.post(f"/missions/{mission_id}/events", {"name": "x", "start_ns": 1}),
+        guest.patch(f"/mission-events/{event_id}", {"name": "x"}),
+        guest.delete(f"/mission-events/{event_id}"),
+        guest.post(f"/projects/{project_id}/viewer-layouts", layout),
+        guest.post(f"/files/{outing.first}/preview"),
+        guest.delete(f"/files/{outing.first}/preview"),
+        guest.get("/me"),
+    ):
+        refused.refused(403, "scope_missing")
+
+
+def test_an_ended_share_opens_no_viewer(api: Api, outing: Outing) -> None:
+    mission_id = outing.mission["id"]
+    revoked, expired = (_link(api, mission_id, file_ids=[outing.first]) for _ in range(2))
+    api.delete(f"/shares/{revoked['share']['id']}").ok(204)
+    api.sql("UPDATE share SET expires_at = now() - interval '1 s' WHERE id = %s", expired["share"]["id"])
+    of_file = (f"/files/{outing.first}{part}" for part in ("", "/topics", "/preview", "/slice.mcap"))
+    of_mission = (f"/missions/{mission_id}{part}" for part in ("", "/topics", "/recordings"))
+    paths = ["/share", "/files", "/mission-events", *of_file, *of_mission]
+    for ended in (revoked, expired):
+        guest = api.as_(ended["secret"])
+        for path in paths:
+            guest.get(path).refused(401, "not_authenticated")
+        guest.post("/files/download", {"file_ids": [outing.first], "purpose": "preview"}).refused(
+            401, "not_authenticated"
+        )
+
+
+def test_the_viewer_of_shares_may_load_only_what_it_needs(api: Api) -> None:
+    page = urllib3.PoolManager(retries=False).request("GET", f"{api.url}/s/view")
+    assert page.status == 200
+    directives = dict(part.strip().split(" ", 1) for part in page.headers["Content-Security-Policy"].split(";"))
+    assert directives == {
+        "default-src": "'none'",
+        "script-src": "'self' 'wasm-unsafe-eval'",
+        "style-src": "'self'",
+        "font-src": "'self'",
+        "img-src": "'self' blob:",
+        "connect-src": f"'self' {api.app.state.settings.store_origin}",
+        "worker-src": "'self'",
+        "form-action": "'none'",
+        "base-uri": "'none'",
+        "frame-ancestors": "'none'",
+    }
+
+
 def test_the_share_page_is_static_and_loads_only_our_scripts(api: Api) -> None:
     pool = urllib3.PoolManager(retries=False)
     page = pool.request("GET", f"{api.url}/s")

@@ -118,6 +118,11 @@ def create_objects(api: Api, *, is_public: bool) -> Objects:
     file, other, trashed = (
         sample.file(mission["id"], f"{name}.mcap", topics=topics) for name in ("one", "two", "gone")
     )
+    api.sql(
+        "INSERT INTO recording_preview (blob_id, state, version, thumbnail) "
+        "SELECT blob_id, 'failed', 1, 'JPEG' FROM file WHERE id = %s",
+        file,
+    )
     unrelated_person = people.person(api)
     action, run, artifact = _create_run(api, project["id"], mission["id"], file)
     acceptance, note = _create_checks(api, project["id"], mission["id"])

@@ -119,6 +119,29 @@ def test_lists_show_a_picture_of_a_camera_of_the_largest_recording(api: Api, tmp
     assert other["file_id"] != large["id"]
 
 
+def test_lists_of_files_show_a_picture_of_a_camera_and_those_of_a_link_only_of_its_files(
+    api: Api, tmp_path: Path, body: bytes
+) -> None:
+    project_id = api.project()["id"]
+    mission_id = api.mission(project_id)["id"]
+    shared, hidden = (upload(api, mission_id, f"{name}.mcap", _unique(body, tmp_path))["id"] for name in ("a", "b"))
+    other = upload(api, mission_id, "notes.txt", b"no recording")["id"]
+    run_jobs(api)
+    ids = {"file_ids": [shared, hidden, other, str(uuid.uuid4())]}
+    with api.statements() as statements:
+        thumbnails = {item["file_id"]: item["jpeg"] for item in api.post("/files/thumbnails", ids).ok()["items"]}
+    assert thumbnails.keys() == {shared, hidden}
+    assert base64.b64decode(thumbnails[shared])[:3] == b"\xff\xd8\xff"
+    own = [one for one in statements if "recording_preview" in one or "audit_event" in one]
+    assert len(own) == 2, "one statement for all pictures, and one for the audit log"
+    (event,) = [event for event in api.events(project_id) if event["operation"] == "project.preview"]
+    assert event["after"] == {"files": 2}
+    guest = api.as_(people.share(api, mission_id, file_ids=[shared]).secret)
+    assert [item["file_id"] for item in guest.post("/files/thumbnails", ids).ok()["items"]] == [shared]
+    assert api.as_(people.person(api).token).post("/files/thumbnails", ids).ok()["items"] == []
+    api.post("/files/thumbnails", {"file_ids": []}).refused(422, "invalid_request")
+
+
 def _thumbnails(api: Api, mission_ids: list[str]) -> list[dict[str, Any]]:
     answer = api.post("/missions/pictures", {"mission_ids": mission_ids}).ok()
     assert answer["items"] == []

@@ -1,12 +1,12 @@
 // Events in a real browser: adds a moment and a span by keys in the viewer, sees both in the list and above the time axis,
 // edits one while another window shows it, makes an event of a finding, is refused an outdated change, finds them by
-// `event:`, opens a link to one, cuts and deletes; and a person who may only read. Prints the results as JSON. Arguments:
+// `event:`, opens a link to one, cuts and deletes; a person who may only read, and one with a share link. Prints the results as JSON. Arguments:
 // the folder with playwright-core and axe-core, the browser, a sign-in link, the server's address, as JSON an invitation of
-// the reader and the ids of the mission and a file, the folder for screenshots.
+// the reader, a share link, and the ids of the mission and a file, the folder for screenshots.
 import { openBrowser } from "./browsing.mjs";
 
 const [web, executablePath, link, address, input, pictures] = process.argv.slice(2);
-const { invitation, mission, file } = JSON.parse(input);
+const { invitation, mission, file, share } = JSON.parse(input);
 const { results, openPage, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 let expectsErrors = false;
 const { page, context } = await openPage(() => expectsErrors);
@@ -166,6 +166,21 @@ await row(reader, "slip").waitFor();
 await reader.keyboard.press("e");
 results.readerForms = await reader.getByRole("dialog").count();
 results.readerAdds += await reader.locator("[data-add-event]").count();
+
+// Somebody with a link to the mission sees its events, which go to their time, and no people, findings or buttons.
+const { page: guest } = await openPage();
+await guest.goto(`${address}/s/view?events=1${new URL(share).hash}`);
+await row(guest, "slip").waitFor();
+await guest.keyboard.press("e");
+await checkPage(guest, "viewer-shared-events");
+await row(guest, "slip").click();
+await guest.waitForURL((url) => url.searchParams.has("t") && url.hash === new URL(share).hash);
+results.guest = {
+  forms: await guest.getByRole("dialog").count(),
+  adds: await guest.locator("[data-add-event], [data-span]").count(),
+  buttons: (await row(guest, "slip").getByRole("button").evaluateAll((all) => all.map(({ title }) => title))).filter((title) => title !== ""),
+  time: await headTime(guest),
+};
 
 // Deleting asks first; the reader's page follows.
 await page.goto(`${address}/missions/${mission}?tab=events`);

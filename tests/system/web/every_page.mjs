@@ -401,9 +401,11 @@ await checkPage(anonymous, "link", { path: "/sign-in/link#not-a-code", allowedEr
 await checkPage(anonymous, "callback", { path: `/sign-in/callback/${encodeURIComponent("<img src=x>")}?error=${encodeURIComponent(texts.label)}`, allowedErrors: CLIENT_ERROR });
 await checkPage(anonymous, "share", { path: new URL(share).pathname + new URL(share).hash, ready: "#files tr", expectedTexts: [project, mission, texts.recording] });
 await anonymous.goto("about:blank");
+await checkPage(anonymous, "shared-view", { path: `/s/view${new URL(share).hash}`, ready: "[data-panel]", expectedTexts: [mission] });
+await anonymous.goto("about:blank");
 await checkPage(anonymous, "share-ended", { path: "/s#not-a-secret", ready: "#message:not([hidden])", allowedErrors: CLIENT_ERROR });
 
 results.inlineScripts = {};
-for (const path of ["/", "/public", "/sign-in", "/s"]) results.inlineScripts[path] = await executesInlineScripts(anonymousContext, path === "/" ? "/search" : path);
+for (const path of ["/", "/public", "/sign-in", "/s", "/s/view"]) results.inlineScripts[path] = await executesInlineScripts(anonymousContext, path === "/" ? "/search" : path);
 await browser.close();
 process.stdout.write(JSON.stringify(results));

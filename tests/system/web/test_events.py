@@ -47,6 +47,7 @@ def test_events_are_added_by_keys_searched_and_cut(
     files = terminal.run("file", "list", "-p", "Alps", "--json").json()["items"]
     file = next(row for row in files if row["path"] == "drive.mcap")
     ids = {"invitation": invited["url"], "mission": file["mission"]["id"], "file": file["id"]}
+    ids["share"] = terminal.run("share", "create", "-p", "Alps", "-m", "day").out.strip()
     results = run_browser("events.mjs", cluster, json.dumps(ids), pictures, timeout_s=560)
 
     assert results["consoleErrors"] == []
@@ -76,6 +77,9 @@ def test_events_are_added_by_keys_searched_and_cut(
     assert results["readerButtons"] == ["Cut slip"]
     assert results["readerAdds"] == 0
     assert results["readerForms"] == 0
+    guest = results["guest"]
+    assert (guest["forms"], guest["adds"], guest["buttons"]) == (0, 0, []), "a link changes and cuts nothing"
+    _assert_near(guest["time"], moment_ns)
     assert sorted(results["left"]) == ["imu.gap", "trot"]
     with connect(cluster.runtime_info()["url"], (cluster.data_dir / "owner-token").read_text().strip()) as client:
         left = {event.name: event for event in client.mission_events.list(mission=ids["mission"])}

@@ -66,9 +66,10 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
     }
     later_ns = mcap.start_ns + 2_345_678_901
     mission_id, file_id = known["drive.mcap"]["mission"]["id"], known["drive.mcap"]["id"]
-    results = run_browser(
-        "viewer.mjs", shared_cluster, pictures, mission_id, file_id, json.dumps(panels), later_ns, timeout_s=560
-    )
+    shared = ("drive.mcap", "drive_rosbag2/drive_rosbag2_0.db3")
+    share = terminal.run("share", "create", *shared, "-p", "Valais", "-m", "day", "--json").json()
+    arguments = (mission_id, file_id, json.dumps(panels), later_ns, share["url"], share["share"]["id"])
+    results = run_browser("viewer.mjs", shared_cluster, pictures, *arguments, timeout_s=560)
 
     assert [results[name] for name in ("consoleErrors", "axe", "overflowing", "executed")] == [[], [], [], []]
     narrow = [f"Image: {_CAMERA}", "Map: /gps/fix", "3D: /lidar/points", f"Raw messages: {_IMU}"]
@@ -105,6 +106,40 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
         fix = next(iter(recording.messages("/gps/fix")))
     assert int(results["gps"]["logTime"]) == fix.log_time_ns
     assert dict(results["gps"]["leaves"])["latitude"] == str(fix.value.latitude)
+    _assert_slice(results["sliced"], paths["drive.mcap"], later_ns, tmp_path / "slice.mcap")
+    _assert_shared(results, paths["drive.mcap"], later_ns)
+    assert share["secret"] not in (shared_cluster.data_dir / "logs").joinpath("api.log").read_text()
+
+
+def _assert_slice(sliced: dict[str, Any], path: Path, start_ns: int, saved: Path) -> None:
+    """The file that other programs open has the messages of the shown topic in the range, and no other topic."""
+    end_ns = start_ns + 1_000_000_000
+    assert sliced["name"] == "drive.slice.mcap"
+    saved.write_bytes(base64.b64decode(sliced["bytes"]))
+    with Recording.open(path) as recording, Recording.open(saved) as slice_:
+        expected = [message.log_time_ns for message in recording.messages(_IMU)]
+        assert [topic.name for topic in slice_.topics] == [_IMU]
+        assert [message.log_time_ns for message in slice_.messages(_IMU)] == [
+            time_ns for time_ns in expected if start_ns <= time_ns <= end_ns
+        ]
+    assert f"--topics {_IMU} --start {start_ns} --end {end_ns + 1} -o view.slice.mcap" in sliced["command"]
+    assert sliced["viewers"][0].startswith("https://app.foxglove.dev/~/view?ds=remote-file&ds.url=http")
+
+
+def _assert_shared(results: dict[str, Any], path: Path, at_ns: int) -> None:
+    """Somebody with a link sees the same picture and the same curve, and nothing of other files or of the app."""
+    shared = results["shared"]
+    assert shared["defaults"][0] == f"Image: {_CAMERA}"
+    assert "Log: /log" not in shared["defaults"]
+    assert not [text for text in shared["topics"] if "/log" in text or "drive.bag" in text], "they are not shared"
+    assert [text for text in shared["topics"] if _IMU in text]
+    assert [href for href in shared["links"] if not href.startswith("/s#")] == [], "nothing leads to the app"
+    assert not {"Layouts", "Add event here"} & set(shared["buttons"])
+    assert int(shared["time"]) == at_ns
+    _assert_picture(shared["image"], path, at_ns)
+    assert shared["plot"]["values"] == results["later"]["plot"]["values"]
+    assert shared["keepsSecret"]
+    assert (shared["sentSecret"], shared["withoutLink"]) == (0, [])
 
 
 def _assert_map(shown: dict[str, Any], fix_count: int) -> None:

@@ -1,10 +1,12 @@
 // The viewer of a mission: panels at the first time, playing, keys, another time, a link, a plot, a log, a file, and a
-// phone. Prints the results as JSON. Arguments: the folder with playwright-core and axe-core, the browser, a sign-in
-// link, the server's address, the folder for screenshots, the ids of the mission and of one of its files, and as JSON:
-// the panels by name as the address writes them, and a log time.
+// phone; and what a share link to some files shows of it. Prints the results as JSON. Arguments: the folder with
+// playwright-core and axe-core, the browser, a sign-in link, the server's address, the folder for screenshots, the ids of
+// the mission and of one of its files, as JSON the panels by name as the address writes them, a log time, the address
+// of the share link and its id.
+import { readFile } from "node:fs/promises";
 import { openBrowser } from "./browsing.mjs";
 
-const [web, executablePath, link, address, pictures, missionId, fileId, panelsText, laterNs] = process.argv.slice(2);
+const [web, executablePath, link, address, pictures, missionId, fileId, panelsText, laterNs, shareLink, shareId] = process.argv.slice(2);
 const panels = JSON.parse(panelsText);
 const { results, openPage, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 const { context, page } = await openPage();
@@ -180,4 +182,52 @@ await panel(count).locator("[data-no-message]").waitFor();
 await panel(count).getByRole("button", { name: "Go to the first message" }).click();
 results.gps = await messageOf(count);
 await checkPage(page, "viewer-file");
+
+// The shown topics and the loop as an MCAP, which other programs open.
+await page.addInitScript(() => (window.showSaveFilePicker = undefined));
+await page.goto(viewAddress(["imu"], `&t=${laterNs}&from=${laterNs}&to=${BigInt(laterNs) + 1_000_000_000n}`));
+await page.getByRole("button", { name: "Open in…" }).click();
+await page.locator("[data-slice-of-view]").waitFor();
+const [sliced] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: /^Save the selection of/ }).click()]);
+await page.locator("[data-slice-of-view] [data-saved]").waitFor();
+results.sliced = { name: sliced.suggestedFilename(), bytes: (await readFile(await sliced.path())).toString("base64"), command: await page.locator("[data-elsewhere] pre, [data-elsewhere] code").first().innerText() };
+await checkPage(page, "viewer-elsewhere");
+await page.getByRole("button", { name: /^Open the whole file/ }).click();
+await page.locator("[data-viewer]").first().waitFor();
+results.sliced.viewers = await page.locator("[data-viewer]").evaluateAll((all) => all.map((one) => one.getAttribute("href")));
+
+// Somebody without an account opens a share link, and the viewer from its page.
+let isRefused = false;
+const { page: guest } = await openPage(() => isRefused);
+const secret = new URL(shareLink).hash.slice(1);
+const requested = [];
+guest.on("request", (request) => requested.push({ url: request.url(), isOfApi: new URL(request.url()).pathname.startsWith("/api/"), headers: request.headers() }));
+await guest.goto(shareLink);
+await guest.getByRole("link", { name: "View the recordings" }).click();
+await panel(0, guest).locator("[data-log-time]").waitFor();
+results.shared = {
+  defaults: await guest.locator("[data-panel]").evaluateAll((all) => all.map((one) => one.getAttribute("aria-label"))),
+  links: await guest.locator("a").evaluateAll((all) => all.map((one) => one.getAttribute("href"))),
+  buttons: await guest.locator(".head .actions button").allInnerTexts(),
+};
+await guest.getByRole("button", { name: "Add panel" }).click();
+results.shared.topics = await guest.locator("dialog[open] .topic .about").allInnerTexts();
+await guest.keyboard.press("Escape");
+await checkPage(guest, "viewer-shared");
+const query = ["mcapImage", "plot", "imu", "log"].map((kind) => `p=${encodeURIComponent(panels[kind])}`).join("&");
+await guest.goto(`${address}/s/view?${query}&t=${laterNs}#${secret}`);
+await panel(2, guest).locator("[data-log-time]").waitFor();
+await panel(0, guest).locator("[data-log-time]").waitFor();
+await panel(3, guest).locator("[data-read-failure]").waitFor();
+await guest.keyboard.press("ArrowRight");
+await guest.keyboard.press("ArrowLeft");
+await guest.waitForTimeout(600);
+Object.assign(results.shared, { time: await timeOf(guest), image: await pictureOf(0, guest), plot: await plotOf(1, guest), keepsSecret: new URL(guest.url()).hash === `#${secret}` });
+results.shared.sentSecret = requested.filter(({ url }) => url.split("#")[0].includes(secret)).length;
+results.shared.withoutLink = requested.filter(({ isOfApi, headers }) => isOfApi && (headers.authorization !== `Bearer ${secret}` || headers.cookie !== undefined)).map(({ url }) => url);
+isRefused = true;
+await page.evaluate((id) => fetch(`/api/v1/shares/${id}`, { method: "DELETE" }), shareId);
+await guest.reload();
+await guest.getByRole("heading", { name: "This link has ended", exact: false }).first().waitFor();
+await checkPage(guest, "viewer-shared-ended");
 await printResults();

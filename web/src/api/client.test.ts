@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, test, vi } from "vitest";
-import { api, call, ifMatch, isSignInRequired, noteNewEtag, noteSignedIn, finishSignIn, signInAddress } from "./client";
+import { api, call, ifMatch, isSignInRequired, noteNewEtag, noteSignedIn, finishSignIn, readWithLink, signInAddress } from "./client";
 import { Problem } from "./problem";
 
 const ENDED = { type: "x", title: "x", status: 401, detail: "The session has ended.", code: "not_authenticated" };
@@ -58,6 +58,17 @@ it("does not ask a stranger to sign in again", async () => {
   fetched.mockImplementation(() => Promise.resolve(json(401, ENDED)));
   await expect(make()).rejects.toBeInstanceOf(Problem);
   expect(isSignInRequired.value).toBe(false);
+});
+
+it("sends the secret of a share link in a header alone, and no cookies", async () => {
+  readWithLink("secret");
+  fetched.mockImplementation(() => Promise.resolve(json(200, {})));
+  await call(api.GET("/api/v1/share"));
+  readWithLink(null);
+  await call(api.GET("/api/v1/share"));
+  const [shared, own] = fetched.mock.calls.map(([request]) => request);
+  expect([shared?.headers.get("Authorization"), shared?.credentials, shared?.url.includes("secret")]).toEqual(["Bearer secret", "omit", false]);
+  expect([own?.headers.get("Authorization"), own?.credentials]).toEqual([null, "same-origin"]);
 });
 
 it("says so where nothing answers", async () => {

@@ -1,4 +1,5 @@
-// The API client: typed by the OpenAPI description, authenticated by the session cookie. Failures are thrown as `Problem`.
+// The API client: typed by the OpenAPI description, authenticated by the session cookie, or by the secret of a share link.
+// Failures are thrown as `Problem`.
 // Browsers add the `Origin` header, which the server checks on every change.
 import createClient from "openapi-fetch";
 import type { paths } from "./schema";
@@ -8,8 +9,27 @@ import { readonly, ref } from "vue";
 const NOT_AUTHENTICATED = 401;
 const FORBIDDEN = 403;
 
+let ofLink: string | null = null;
+
+/** Sends requests with the secret of a share link from now on, instead of the session of this browser; null: with the session. */
+export function readWithLink(secret: string | null): void {
+  ofLink = secret;
+}
+
+/** The secret of the share link that this page reads with; null where it reads with a session. */
+export function linkSecret(): string | null {
+  return ofLink;
+}
+
+function withSecret(request: Request, secret: string): Request {
+  const own = new Request(request, { credentials: "omit" });
+  own.headers.set("Authorization", `Bearer ${secret}`);
+  return own;
+}
+
 /** Sends a request. If the user must sign in again, waits for that, then sends the request again. */
 async function send(request: Request): Promise<Response> {
+  if (ofLink !== null) return fetch(withSecret(request, ofLink));
   const again = request.clone();
   const answer = await fetch(request);
   const why = await whySignInAgain(answer);

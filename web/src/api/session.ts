@@ -1,13 +1,14 @@
 // The signed-in person and their permissions.
 import { useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
-import { api, call, noteSignedIn } from "./client";
+import { api, call, linkSecret, noteSignedIn } from "./client";
 import { keys } from "./queries";
 import { Problem } from "./problem";
 import type { Me, Service } from "./types";
 
-/** Returns who is signed in; null for a stranger. */
+/** Returns who is signed in; null for a stranger, and for a page that reads with a share link. */
 export async function fetchMe(): Promise<Me | null> {
+  if (linkSecret() !== null) return null;
   try {
     const me = await call(api.GET("/api/v1/me"));
     noteSignedIn(true);

@@ -20,6 +20,23 @@ export function useSeen(element: Readonly<Ref<HTMLElement | null>>): Readonly<Re
   return isSeen;
 }
 
+/** Rows that a list scrolls past load nothing. */
+const SETTLE_MS = 120;
+
+/** Returns whether a row has shown the same object for a moment: while a list is scrolled, it shows one after the other. */
+export function useSettled(id: () => string): () => boolean {
+  const settledId = ref("");
+  watch(
+    id,
+    (now, _, onCleanup) => {
+      const timer = setTimeout(() => (settledId.value = now), SETTLE_MS);
+      onCleanup(() => clearTimeout(timer));
+    },
+    { immediate: true },
+  );
+  return () => settledId.value === id();
+}
+
 /** Returns an address of bytes in this page for an `<img>`; null where there are none. */
 export function useObjectUrl(bytes: () => Blob | null | undefined): Readonly<Ref<string | null>> {
   const address = shallowRef<string | null>(null);

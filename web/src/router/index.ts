@@ -1,11 +1,11 @@
 // The router: redirects to sign-in where needed, and moves the focus to the heading after navigation.
 import { noop, type QueryClient } from "@tanstack/vue-query";
-import { createRouter, createWebHistory, type Router } from "vue-router";
+import { createRouter, createWebHistory, START_LOCATION, type RouteLocationNormalized, type Router } from "vue-router";
 import { discardOnNavigation } from "./query";
 import { routes } from "./routes";
 import { toProblem } from "@/api/problem";
 import { meQuery } from "@/api/session";
-import { signInAddress } from "@/api/client";
+import { linkSecret, readWithLink, signInAddress } from "@/api/client";
 import { focusNextHeading } from "@/components/titles";
 import { showToast } from "@/components/toasts";
 import { texts } from "@/texts/shell";
@@ -20,6 +20,21 @@ async function isSignedIn(queries: QueryClient): Promise<boolean> {
   }
 }
 
+/** Returns the secret of the share link in an address, which browsers do not send to servers; null for pages of the app. */
+function secretOf({ name, hash }: RouteLocationNormalized): string | null {
+  return name === "shared-view" ? hash.slice(1) : null;
+}
+
+/** Has a document read with one credential as long as it lasts: its cache must not mix what a link and a person see. */
+function useOneCredential(router: Router): void {
+  router.beforeEach((to, from) => {
+    if (from === START_LOCATION) readWithLink(secretOf(to));
+  });
+  router.afterEach((to, _from, failure) => {
+    if (failure === undefined && secretOf(to) !== linkSecret()) globalThis.location.reload();
+  });
+}
+
 /** Returns the app's router. */
 export function openRouter(queries: QueryClient): Router {
   const router = createRouter({
@@ -32,6 +47,7 @@ export function openRouter(queries: QueryClient): Router {
     },
   });
   discardOnNavigation(router);
+  useOneCredential(router);
   router.beforeEach(async (to) => {
     if (to.meta.guests === true) return true;
     if (await isSignedIn(queries)) {
@@ -46,10 +62,11 @@ export function openRouter(queries: QueryClient): Router {
   });
   router.onError((_error, to) => {
     // After an update of the server, the old pages no longer exist: reload once.
-    const key = `kleinkram.reloaded ${to.fullPath}`;
+    const key = `kleinkram.reloaded ${to.path}`; // without the secret of a link
     if (sessionStorage.getItem(key) === null) {
       sessionStorage.setItem(key, "yes");
-      globalThis.location.assign(to.fullPath);
+      if (secretOf(to) === null) globalThis.location.assign(to.fullPath);
+      else globalThis.location.reload(); // an address that differs only in its fragment loads nothing
     } else showToast({ tone: "bad", text: texts.pageGone });
   });
   return router;

@@ -1,5 +1,5 @@
 // All routes. Each page is a chunk of its own. The server serves the app only below these first path segments, which
-// `WEB_PATHS` in server/access/operations.py lists too.
+// `WEB_PATHS` in server/access/operations.py lists too; server/shares serves the viewer of share links.
 import type { RouteRecordRaw } from "vue-router";
 import { homeQuery } from "@/features/home/queries";
 
@@ -45,5 +45,6 @@ export const routes: RouteRecordRaw[] = [
   { path: "/trash", name: "trash", component: () => import("@/features/trash/TrashPage.vue") },
   { path: "/admin", name: "admin", component: () => import("@/features/admin/AdminPage.vue") },
   { path: "/signed-in", name: "signed-in", meta: { guests: true, bare: true }, component: () => import("@/shell/SignedInPage.vue") },
+  { path: "/s/view", name: "shared-view", meta: { guests: true, bare: true }, component: () => import("@/features/share/SharedViewPage.vue") },
   { path: "/:path(.*)*", name: "not-found", meta: guests, component: () => import("@/shell/NotFoundPage.vue") },
 ];

@@ -32,6 +32,12 @@ export const texts = {
   another: "Create another link",
 } as const;
 
+export const sharedTexts = {
+  files: "Files of this link",
+  ended: "This link has ended, or its address is incomplete",
+  endedWhy: "Ask the person who sent it for another one.",
+} as const;
+
 export const publicTexts = {
   title: "Public projects",
   lead: "Anyone can view and download these projects without an account.",

@@ -196,3 +196,20 @@ export const layoutTexts = {
   leftOut: (panels: number) => `${counted(panels, "panel")} ${panels === 1 ? "is" : "are"} not shown: this mission has no such topics.`,
   noneFits: (name: string) => `Layout ${name} is not shown: this mission has none of its topics.`,
 } as const;
+
+export const elsewhereTexts = {
+  open: "Open in…",
+  openWhy: "Open the shown topics and range in Foxglove, Lichtblick or Rerun",
+  title: "Open in another program",
+  nothing: "No panel shows a topic of a recording in this range.",
+  whole: "The topics of the panels, of the whole time. To take a part, mark the beginning and the end of a loop first.",
+  range: (from: string, to: string) => `The topics of the panels, from ${from} to ${to}:`,
+  why: "This selection exists only as a file that you save: it has no address that another program could open. Foxglove and Lichtblick show the file with “Open local file”. A whole recording has an address for some minutes.",
+  saveOf: (path: string) => `Save the selection of ${path}`,
+  openWhole: "Whole file",
+  openWholeOf: (path: string) => `Open the whole file ${path} by its address`,
+  noTopic: (path: string) => `${path} has none of the shown topics.`,
+  more: (count: number) => `${counted(count, "more file")} not listed here. The command takes all of them.`,
+  command: "All of them as one file, on the command line",
+  commandWhy: "The second line opens the file in Rerun, which reads MCAP files of ROS 2 and Protobuf.",
+} as const;

@@ -38,7 +38,18 @@ from kleinkram.server.filters.missions import filter_missions
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.queries import file_totals
 from kleinkram.server.pagination import Order, PagedQuery
-from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
+from kleinkram.server.tables import (
+    blob,
+    file,
+    mission,
+    person,
+    project,
+    recording_preview,
+    run,
+    run_artifact,
+    run_input,
+    topic,
+)
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
 # At most so many files that runs made from a file are listed when it is deleted.
@@ -276,3 +287,12 @@ def files_below(mission_id: uuid.UUID, keys: Sequence[str], *, except_id: uuid.U
 def _in_mission(mission_id: uuid.UUID, except_id: uuid.UUID | None) -> Select[Any]:
     live = select(file).where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
     return live if except_id is None else live.where(file.c.id != except_id)
+
+
+def thumbnails_of(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return the thumbnails of those of some files that are visible and have one, with the projects of the files."""
+    of_project = (project.c.id.label("project_id"), project.c.name.label("project_name"))
+    columns = (file.c.id, recording_preview.c.thumbnail, *of_project)
+    stmt = visible_files(actor).with_only_columns(*columns, maintain_column_froms=True)
+    stmt = stmt.join(recording_preview, recording_preview.c.blob_id == file.c.blob_id)
+    return stmt.where(among(file.c.id, file_ids), recording_preview.c.thumbnail.is_not(None))

@@ -4,18 +4,26 @@ Whoever may read the file may read its preview. All files with the same bytes sh
 on the missions of all of them: a link to somebody else's bytes takes no more than READ.
 """
 
+import base64
 import datetime
 import uuid
+from collections import Counter
+from collections.abc import Sequence
 
 from kleinkram.contract.errors import FieldProblem, InvalidRequest
-from kleinkram.contract.recording_previews import RecordingPreviewRead, RecordingPreviewState
+from kleinkram.contract.recording_previews import (
+    FileThumbnail,
+    FileThumbnails,
+    RecordingPreviewRead,
+    RecordingPreviewState,
+)
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_missions_of_blob
-from kleinkram.server.audit.log import audit
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs import recording_previews as previews
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.files.queries import FileWithBlob
+from kleinkram.server.files.queries import FileWithBlob, thumbnails_of
 from kleinkram.server.files.service import file_event, stored_file
 
 
@@ -38,6 +46,23 @@ async def get_preview(context: AppContext, actor: Actor, *, file_id: uuid.UUID) 
             "expires_at": datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s),
         }
     )
+
+
+async def get_thumbnails(db: Connection, actor: Actor, *, file_ids: Sequence[uuid.UUID]) -> FileThumbnails:
+    """Return the thumbnails of visible files that have one, and record for each project that they were viewed.
+
+    Two statements for any number of files.
+    """
+    rows = (await db.execute(thumbnails_of(actor, file_ids))).all()
+    names = {row.project_id: row.project_name for row in rows}
+    counts = Counter(row.project_id for row in rows)
+    events = [
+        Event("project.preview", "project", project_id, names[project_id], project_id, after={"files": count})
+        for project_id, count in counts.items()
+    ]
+    await audit(db, actor, *events)
+    items = [FileThumbnail(file_id=row.id, jpeg=base64.b64encode(row.thumbnail).decode()) for row in rows]
+    return FileThumbnails(items=items)
 
 
 async def make_preview_again(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> RecordingPreviewRead:

@@ -18,7 +18,7 @@ from kleinkram.contract.files import (
 )
 from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import combined_filter
-from kleinkram.contract.recording_previews import RecordingPreviewRead
+from kleinkram.contract.recording_previews import FileThumbnails, RecordingPreviewRead, ThumbnailsRequest
 from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
 from kleinkram.server.files import recording_previews, service
 from kleinkram.server.files.slices import SliceSelection, open_slice
@@ -52,6 +52,12 @@ async def download_files(request: DownloadRequest, context: CurrentContext, acto
     """Return URLs from which to read the content of files; the audit log records who requests them, and why."""
     links = await service.link_files(context, actor, file_ids=request.file_ids, purpose=request.purpose)
     return DownloadLinks(items=links)
+
+
+@router.post("/files/thumbnails", operation_id="get_file_thumbnails")
+async def get_file_thumbnails(requested: ThumbnailsRequest, db: Transaction, actor: CurrentActor) -> FileThumbnails:
+    """Return a picture of a camera of each recording that has one, for lists; the audit log records who views them."""
+    return await recording_previews.get_thumbnails(db, actor, file_ids=requested.file_ids)
 
 
 @router.post("/files/labels", operation_id="label_files")

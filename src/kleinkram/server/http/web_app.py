@@ -68,12 +68,12 @@ def app_policy(settings: Settings) -> str:
     )
 
 
-def app_page(settings: Settings, *, status: int = 200) -> Response:
-    """Return the page of the app, which shows the view of its address."""
+def app_page(settings: Settings, *, status: int = 200, policy: str | None = None) -> Response:
+    """Return the page of the app, which shows the view of its address; `policy` replaces the app's content policy."""
     page = BUILT / "index.html"
     if not page.is_file():
         return HTMLResponse(_NOT_BUILT, status_code=503, headers={"Content-Security-Policy": PAGE_POLICY})
-    headers = {"Content-Security-Policy": app_policy(settings), "Cache-Control": "no-cache"}
+    headers = {"Content-Security-Policy": policy or app_policy(settings), "Cache-Control": "no-cache"}
     return HTMLResponse(page.read_bytes(), status_code=status, headers=headers)
 
 

@@ -1,4 +1,4 @@
-"""Routes of share links: for those who create them and those who open them; and the page that a link opens."""
+"""Routes of share links: for those who create them and those who open them; and the pages that a link opens."""
 
 import uuid
 from functools import cache
@@ -14,7 +14,7 @@ from kleinkram.contract.tokens import SHARE_PAGE, ShareCreate, SharedRead, Share
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import PAGE_POLICY
-from kleinkram.server.http.web_app import PAGE_HEAD, brand
+from kleinkram.server.http.web_app import PAGE_HEAD, app_page, brand
 from kleinkram.server.pagination import PageQuery
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares import service
@@ -57,7 +57,7 @@ async def get_shared(db: Transaction, actor: CurrentActor) -> SharedRead:
     return await service.get_shared(db, actor)
 
 
-# For people, not part of the API. The server does not learn the secret, so the page is the same for every link.
+# For people, not part of the API. The server does not learn the secret, so the pages are the same for every link.
 page_router = APIRouter(prefix=SHARE_PAGE, include_in_schema=False)
 _STATIC = {"share.js": "text/javascript", "share.css": "text/css"}
 _HEAD = (
@@ -68,6 +68,7 @@ _HEAD = (
 )
 _MAIN = (
     '<main><h1>Shared with you</h1><p id="message" role="status" hidden></p><p id="what"></p>'
+    '<p><a id="view" hidden>View the recordings</a></p>'
     '<div id="all" hidden><button type="button" id="download" class="primary"></button>'
     '<p id="progress" role="status"></p><p>With the command line: <code id="command"></code></p></div>'
     '<div id="about" hidden><img id="picture" alt="" hidden><dl id="metadata"></dl></div>'
@@ -87,10 +88,25 @@ async def page(settings: CurrentSettings) -> HTMLResponse:
 
 
 def share_policy(settings: Settings) -> str:
-    """Return the content policy: that of other pages, plus the store, from which the page loads files and images."""
+    """Return the content policy: that of other pages, plus the store, for files and images, and thumbnails (`blob:`)."""
     store = settings.store_origin
-    shown = PAGE_POLICY.replace("img-src 'self'", f"img-src 'self' {store}")
+    shown = PAGE_POLICY.replace("img-src 'self'", f"img-src 'self' {store} blob:")
     return shown.replace("connect-src 'self'", f"connect-src 'self' {store}")
+
+
+@page_router.get("/view")
+async def view(settings: CurrentSettings) -> Response:
+    """Show the viewer of the recordings that a link shares."""
+    return app_page(settings, policy=viewer_policy(settings))
+
+
+def viewer_policy(settings: Settings) -> str:
+    """Return the content policy of that viewer: scripts, workers and WebAssembly of this server, data of the store."""
+    return (
+        "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; font-src 'self'; "
+        f"img-src 'self' blob:; connect-src 'self' {settings.store_origin}; worker-src 'self'; "
+        "form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
+    )
 
 
 @page_router.get("/static/{name}")

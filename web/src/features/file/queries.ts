@@ -35,18 +35,21 @@ export function useFile(fileId: string, isVerifying: () => boolean) {
 export function useFileTopics(fileId: string, version: () => string | null | undefined) {
   return useQuery({
     queryKey: [...keys.fileTopics(fileId), version],
-    queryFn: async ({ signal }) => {
-      const topics: Topic[] = [];
-      for (let cursor: string | null | undefined; cursor !== null && topics.length < MAX_TOPICS; ) {
-        const query = cursor === undefined ? { limit: PAGE } : { limit: PAGE, cursor };
-        const params = { path: { file_id: fileId }, query };
-        const page = await call(api.GET("/api/v1/files/{file_id}/topics", { params, signal }));
-        topics.push(...page.items);
-        cursor = page.next ?? null;
-      }
-      return topics;
-    },
+    queryFn: ({ signal }) => fetchFileTopics(fileId, signal),
   });
+}
+
+/** Returns all topics of a file, by name. */
+export async function fetchFileTopics(fileId: string, signal: AbortSignal): Promise<Topic[]> {
+  const topics: Topic[] = [];
+  for (let cursor: string | null | undefined; cursor !== null && topics.length < MAX_TOPICS; ) {
+    const query = cursor === undefined ? { limit: PAGE } : { limit: PAGE, cursor };
+    const params = { path: { file_id: fileId }, query };
+    const page = await call(api.GET("/api/v1/files/{file_id}/topics", { params, signal }));
+    topics.push(...page.items);
+    cursor = page.next ?? null;
+  }
+  return topics;
 }
 
 export function useMissionOf(missionId: () => string | undefined) {

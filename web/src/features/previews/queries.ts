@@ -1,7 +1,7 @@
-// Queries of previews: those of a mission, and the first pictures of missions in lists.
+// Queries of previews: those of a mission, and small pictures of missions and files in lists.
 import { useQuery } from "@tanstack/vue-query";
-import { computed } from "vue";
-import { thumbnailOf } from "./thumbnails";
+import { computed, type Ref } from "vue";
+import { jpegOf, thumbnailOf } from "./thumbnails";
 import { batched } from "@/api/batched";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/queries";
@@ -14,7 +14,7 @@ export type MissionPreview = Schemas["MissionPreview"];
 export type MissionPicture = Schemas["MissionPicture"];
 export type MissionThumbnail = Schemas["MissionThumbnail"];
 
-/** The most missions that the server takes at once. */
+/** The most missions or files that the server takes at once. */
 const MOST = 200;
 /** A list that is opened again asks for its pictures again only after this time. Each request is recorded in the audit log. */
 const FRESH_MS = 300_000;
@@ -63,4 +63,23 @@ export function useThumbnail(missionId: () => string, isEnabled: () => boolean) 
     staleTime: "static", // artifacts never change
   });
   return { picture, bytes };
+}
+
+const jpegOfFile = batched(async (fileIds) => {
+  const { items } = await call(api.POST("/api/v1/files/thumbnails", { body: { file_ids: [...fileIds] } }));
+  return new Map(items.map(({ file_id: id, jpeg }) => [id, jpeg]));
+}, MOST);
+
+/** A picture that a camera recorded in a file; null where there is none. */
+export function useFileThumbnail(fileId: () => string, isEnabled: () => boolean): Readonly<Ref<Blob | null | undefined>> {
+  const { data } = useQuery({
+    queryKey: computed(() => ["file-thumbnails", fileId()]),
+    queryFn: async () => {
+      const jpeg = await jpegOfFile(fileId());
+      return jpeg === undefined ? null : jpegOf(jpeg);
+    },
+    enabled: isEnabled,
+    staleTime: FRESH_MS,
+  });
+  return data;
 }

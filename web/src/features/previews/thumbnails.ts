@@ -28,11 +28,16 @@ async function copyOf(picture: Blob): Promise<Blob> {
   }
 }
 
+/** Returns the bytes of a JPEG in base64. */
+export function jpegOf(text: string): Blob {
+  return new Blob([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))], { type: "image/jpeg" });
+}
+
 type Renew = (missionId: string) => Promise<MissionPicture | MissionThumbnail | undefined>;
 
 /** Returns a small copy of a picture. Where its URL has expired, `renew` returns the picture with another one. */
 export async function thumbnailOf(picture: MissionPicture | MissionThumbnail, renew: Renew, signal: AbortSignal): Promise<Blob> {
-  if ("jpeg" in picture) return new Blob([Uint8Array.from(atob(picture.jpeg), (letter) => letter.charCodeAt(0))], { type: "image/jpeg" });
+  if ("jpeg" in picture) return jpegOf(picture.jpeg);
   let answer = await fetch(picture.url, { signal, credentials: "omit" });
   if (!answer.ok) {
     const renewed = await renew(picture.mission_id);

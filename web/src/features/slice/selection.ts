@@ -86,12 +86,22 @@ export function commandOfSeveral(names: readonly string[], mission: Parameters<t
 /** Topics as `--topics` takes them: it separates names by commas and spaces, which a glob can stand for. */
 const topicArgument = (topic: string): string => quoted(topic.replace(/[\s,]/g, "?"));
 
+/** What `klein cut` takes: topics (null: all) and times. */
+export interface CutSelection extends Times {
+  readonly topics: readonly string[] | null;
+}
+
 /** Returns the command that makes the same file, or that of the whole recording; `topics`: null for all. */
-export function commandOf(file: File, split: SplitRecording | null, topics: readonly string[] | null, { startNs, endNs }: Times): string {
+export function commandOf(file: File, split: SplitRecording | null, topics: readonly string[] | null, times: Times): string {
+  return cutSelectionCommand([split?.name ?? file.path], file.mission, { topics, ...times }, sliceName(file.path));
+}
+
+/** Returns the command that makes one MCAP of a selection of recordings of a mission, which it merges. */
+export function cutSelectionCommand(names: readonly string[], mission: Parameters<typeof missionArguments>[0], { topics, startNs, endNs }: CutSelection, target: string): string {
   const options = [
     ...(topics ?? []).flatMap((topic) => ["--topics", topicArgument(topic)]),
     ...(startNs === null ? [] : ["--start", String(startNs)]),
     ...(endNs === null ? [] : ["--end", String(endNs)]),
   ];
-  return ["klein cut", recordingArgument(split?.name ?? file.path), missionArguments(file.mission), ...options, "-o", quoted(sliceName(file.path))].join(" ");
+  return ["klein cut", ...names.map(recordingArgument), missionArguments(mission), ...options, "-o", quoted(target)].join(" ");
 }

@@ -28,6 +28,14 @@ export interface ViewerData {
   readonly topics: readonly ViewerTopic[];
 }
 
+/** The data of a viewer as they arrive, and what failed. */
+export interface ViewerSource {
+  readonly data: ComputedRef<ViewerData | null>;
+  readonly error: ComputedRef<Error | null>;
+  readonly again: () => unknown;
+  readonly isComplete: () => boolean;
+}
+
 const PAGE = 500;
 const MAX_FILES = 2_000;
 /** The API rounds times to doubles, which differ by up to 128 ns. */
@@ -35,7 +43,7 @@ const ROUNDING_NS = 256n;
 const KEY_LENGTH = 8;
 
 /** Returns the files of a mission that the viewer reads. */
-function useReadableFiles(missionId: string) {
+export function useReadableFiles(missionId: string) {
   return useQuery({
     queryKey: [...keys.mission(missionId), "readable-files"],
     queryFn: async ({ signal }): Promise<readonly File[]> => {
@@ -79,7 +87,7 @@ export function useFileData(fileId: string) {
     const source = sourceOf(file.data.value);
     const key = fileId.slice(0, KEY_LENGTH);
     const recordings = source === null ? [] : [{ key, name: file.data.value.path, files: [source] }];
-    return { recordings, topics: recordings.length === 0 ? [] : topics.data.value.map((topic) => ofFile(topic, key)) };
+    return { recordings, topics: recordings.length === 0 ? [] : topics.data.value.map((topic) => topicOfFile(topic, key)) };
   });
   const error = computed(() => file.error.value ?? topics.error.value);
   const again = () => Promise.all([file.refetch(), topics.refetch()]);
@@ -114,7 +122,8 @@ function areEqual(one: ViewerData, other: ViewerData): boolean {
   return one === other || textOf(one) === textOf(other);
 }
 
-function ofFile({ name, message_type, count, first_ns }: Topic, recording: string): ViewerTopic {
+/** Returns a topic of a file as one of the recording with this key. */
+export function topicOfFile({ name, message_type, count, first_ns }: Topic, recording: string): ViewerTopic {
   return { recording, name, messageType: message_type, count, firstNs: first_ns, density: [] };
 }
 

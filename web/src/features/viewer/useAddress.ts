@@ -79,7 +79,7 @@ export function useAddress(clock: Clock, defaults: () => readonly Panel[]): View
       to: loop?.toNs.toString(),
       p: panels.value.map(panelText),
     };
-    return new URL(router.resolve({ path: route.path, query }).href, globalThis.location.href).href;
+    return new URL(router.resolve({ path: route.path, query, hash: route.hash }).href, globalThis.location.href).href;
   }
 
   return { panels, isNamed: () => texts.value.length > 0, link };

@@ -2,6 +2,7 @@
 import { computed, ref, shallowRef } from "vue";
 import type { Clock } from "./clock";
 import { timeText } from "./viewer";
+import { linkSecret } from "@/api/client";
 import { useMe } from "@/api/session";
 import { useShortcuts } from "@/components/shortcuts";
 import { showToast } from "@/components/toasts";
@@ -72,10 +73,13 @@ export function useViewerEvents(missionId: string, clock: Clock, recorded: reado
     else clock.seek(viewTimeNs(mark.startNs));
   }
 
-  useShortcuts([
+  const editing = [
     { keys: "e", does: texts.addKey, run: addHere },
     { keys: "[", does: texts.beginKey, run: begin },
     { keys: "]", does: texts.endKey, run: end },
+  ];
+  useShortcuts([
+    ...(linkSecret() === null ? editing : []),
     { keys: "m", does: texts.nextKey, run: () => go("next") },
     { keys: "M", does: texts.previousKey, run: () => go("previous") },
   ]);

@@ -7,6 +7,7 @@ const PAGE_SIZE = 200;
 const PICTURES = ["png", "jpg", "jpeg", "webp", "gif"];
 const OPEN_TOPICS = 30;
 const MAX_PICTURE_BYTES = 20_000_000;
+const VIEWED_FORMATS = ["mcap", "rosbag1", "db3", "ulog"];
 
 function showMessage(text) {
   const message = document.getElementById("message");
@@ -40,6 +41,7 @@ function row(file) {
   const line = document.createElement("tr");
   const [path, bytes, action] = [0, 1, 2].map(() => line.insertCell());
   const button = document.createElement("button");
+  line.dataset.file = file.id;
   path.textContent = file.path;
   bytes.textContent = size(file.size_bytes);
   button.textContent = "Download";
@@ -52,9 +54,24 @@ async function showMore(cursor) {
   const query = new URLSearchParams({ limit: PAGE_SIZE, ...(cursor ? { cursor } : {}) });
   const page = await request("GET", `/files?${query}`);
   document.getElementById("files").append(...page.items.map(row));
+  showThumbnails(page.items).catch((error) => showMessage(error.message));
   const more = document.getElementById("more");
   more.hidden = page.next === null;
   more.onclick = () => showMore(page.next).catch((error) => showMessage(error.message));
+}
+
+// A picture of a camera beside each recording that has one.
+async function showThumbnails(files) {
+  const recordings = files.filter(({ content }) => content === "indexed" || content === "recovered");
+  if (recordings.length === 0) return;
+  const { items } = await request("POST", "/files/thumbnails", { file_ids: recordings.map(({ id }) => id) });
+  for (const { file_id: id, jpeg } of items) {
+    const bytes = Uint8Array.from(atob(jpeg), (letter) => letter.charCodeAt(0));
+    const picture = document.createElement("img");
+    picture.src = URL.createObjectURL(new Blob([bytes], { type: "image/jpeg" }));
+    picture.alt = "Picture of a camera";
+    document.querySelector(`[data-file="${CSS.escape(id)}"] td`)?.prepend(picture);
+  }
 }
 
 function element(name, text) {
@@ -124,6 +141,15 @@ async function showPicture() {
   picture.alt = file.path;
   picture.hidden = false;
   document.getElementById("about").hidden = false;
+}
+
+// The viewer gets the secret in the fragment, too.
+async function offerViewer() {
+  const readable = [...VIEWED_FORMATS.map((format) => ["format", format]), ["content", "indexed"], ["content", "recovered"]];
+  if ((await request("GET", `/files?${new URLSearchParams([["limit", "1"], ...readable])}`)).items.length === 0) return;
+  const link = document.getElementById("view");
+  link.href = `/s/view#${secret}`;
+  link.hidden = false;
 }
 
 async function allFiles() {
@@ -201,7 +227,7 @@ async function show() {
   document.getElementById("what").textContent = `${what}; until ${new Date(shown.expires_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })}.`;
   offerAll(shown.size_bytes);
   await showMore(null);
-  const more = [request("GET", `/missions/${shown.mission.id}`).then(showAbout), showTopics(shown.mission.id), showPicture()];
+  const more = [request("GET", `/missions/${shown.mission.id}`).then(showAbout), showTopics(shown.mission.id), showPicture(), offerViewer()];
   for (const { reason } of await Promise.allSettled(more)) if (reason) showMessage(reason.message);
 }
 
