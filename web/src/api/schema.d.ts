@@ -941,6 +941,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/files/thumbnails": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Get File Thumbnails
+         * @description Return a picture of a camera of each recording that has one, for lists; the audit log records who views them.
+         */
+        post: operations["get_file_thumbnails"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/findings": {
         parameters: {
             query?: never;
@@ -4972,6 +4992,27 @@ export interface components {
          */
         FileSort: "path" | "-path" | "created" | "-created" | "size" | "-size" | "start" | "-start";
         /**
+         * FileThumbnail
+         * @description A picture that a camera recorded in a file, of at most 160 by 160 pixels: a JPEG in base64.
+         */
+        FileThumbnail: {
+            /**
+             * File Id
+             * Format: uuid
+             */
+            file_id: string;
+            /** Jpeg */
+            jpeg: string;
+        };
+        /**
+         * FileThumbnails
+         * @description The thumbnails of those files that have one, in no order.
+         */
+        FileThumbnails: {
+            /** Items */
+            items: components["schemas"]["FileThumbnail"][];
+        };
+        /**
          * FileUpdate
          * @description Changes of a file; omitted fields stay. `path` renames it, `mission_id` moves it; no bytes are copied.
          */
@@ -8680,6 +8721,14 @@ export interface components {
          */
         TextFormat: "csv" | "markdown" | "latex";
         /**
+         * ThumbnailsRequest
+         * @description The files of a list.
+         */
+        ThumbnailsRequest: {
+            /** File Ids */
+            file_ids: string[];
+        };
+        /**
          * TimeAxis
          * @description The bins that several densities share: `bins` of `bin_ns` each, the first from `start_ns` on.
          */
@@ -11050,6 +11099,39 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["FilesLabelled"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_file_thumbnails: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ThumbnailsRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["FileThumbnails"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

@@ -88,7 +88,7 @@ async def page(settings: CurrentSettings) -> HTMLResponse:
 
 
 def share_policy(settings: Settings) -> str:
-    """Return the content policy: that of other pages, plus the store, for files and images, and thumbnails (`blob:`)."""
+    """Return the content policy: that of other pages, the store for files and images, and `blob:` for thumbnails."""
     store = settings.store_origin
     shown = PAGE_POLICY.replace("img-src 'self'", f"img-src 'self' {store} blob:")
     return shown.replace("connect-src 'self'", f"connect-src 'self' {store}")

@@ -1,6 +1,7 @@
 // What the viewer knows before it reads a byte: the recordings of a mission or a file, and their topics.
 import { useQuery } from "@tanstack/vue-query";
 import { computed, ref, shallowRef, watch, type ComputedRef } from "vue";
+import type { RouteLocationRaw } from "vue-router";
 import { useFile, useFileTopics } from "@/features/file/queries";
 import { useMission, useMissionTopics, useRecordings, type MissionTopic, type Topics } from "@/features/mission/queries";
 import type { Panel } from "./layout";
@@ -34,6 +35,15 @@ export interface ViewerSource {
   readonly error: ComputedRef<Error | null>;
   readonly again: () => unknown;
   readonly isComplete: () => boolean;
+}
+
+/** What the recordings of a viewer belong to. */
+export interface ViewerPlace {
+  readonly missionId: string;
+  readonly projectId: string;
+  readonly title: string;
+  /** Where the page is in the app; empty outside of it. */
+  readonly crumbs: readonly { readonly label: string; readonly to: RouteLocationRaw }[];
 }
 
 const PAGE = 500;
