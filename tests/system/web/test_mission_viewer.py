@@ -138,6 +138,7 @@ def _assert_shared(results: dict[str, Any], path: Path, at_ns: int) -> None:
     assert int(shared["time"]) == at_ns
     _assert_picture(shared["image"], path, at_ns)
     assert shared["plot"]["values"] == results["later"]["plot"]["values"]
+    assert shared["hiddenLines"] == 0, "a panel of an address shows nothing of a file that is not shared"
     assert shared["keepsSecret"]
     assert (shared["sentSecret"], shared["withoutLink"]) == (0, [])
 

@@ -205,7 +205,7 @@ export const elsewhereTexts = {
   whole: "The topics of the panels, of the whole time. To take a part, mark the beginning and the end of a loop first.",
   range: (from: string, to: string) => `The topics of the panels, from ${from} to ${to}:`,
   why: "This selection exists only as a file that you save: it has no address that another program could open. Foxglove and Lichtblick show the file with “Open local file”. A whole recording has an address for some minutes.",
-  saveOf: (path: string) => `Save the selection of ${path}`,
+  saveOf: (label: string, path: string) => `${label} ${path}`,
   openWhole: "Whole file",
   openWholeOf: (path: string) => `Open the whole file ${path} by its address`,
   noTopic: (path: string) => `${path} has none of the shown topics.`,
