@@ -18,6 +18,7 @@ from tests.system.web.conftest import RunBrowser
 
 _MCAP_BYTES, _SMALL_BYTES = 40_000_000, 8_000_000
 _CAMERA, _IMU, _ODOM = "/camera/image/compressed", "/imu/data", "/odom"
+_TRANSFORMS = ("/tf", "/tf_static")
 # JPEG decoders may round differently.
 _ROUNDING = 2
 _LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR")
@@ -112,17 +113,18 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
 
 
 def _assert_slice(sliced: dict[str, Any], path: Path, start_ns: int, saved: Path) -> None:
-    """The file that other programs open has the messages of the shown topic in the range, and no other topic."""
+    """The file that other programs open has the messages of the shown topic in the range, and the transforms."""
     end_ns = start_ns + 1_000_000_000
     assert sliced["name"] == "drive.slice.mcap"
     saved.write_bytes(base64.b64decode(sliced["bytes"]))
     with Recording.open(path) as recording, Recording.open(saved) as slice_:
         expected = [message.log_time_ns for message in recording.messages(_IMU)]
-        assert [topic.name for topic in slice_.topics] == [_IMU]
+        assert sorted(topic.name for topic in slice_.topics) == [_IMU, *_TRANSFORMS]
         assert [message.log_time_ns for message in slice_.messages(_IMU)] == [
             time_ns for time_ns in expected if start_ns <= time_ns <= end_ns
         ]
-    assert f"--topics {_IMU} --start {start_ns} --end {end_ns + 1} -o view.slice.mcap" in sliced["command"]
+    topics = " ".join(f"--topics {name}" for name in (_IMU, *_TRANSFORMS))
+    assert f"{topics} --start {start_ns} --end {end_ns + 1} -o view.slice.mcap" in sliced["command"]
     assert sliced["viewers"][0].startswith("https://app.foxglove.dev/~/view?ds=remote-file&ds.url=http")
 
 

@@ -183,7 +183,7 @@ function placesOf({ recordings }: MissionTopic): number[] {
 
 /** Returns the number of messages in equal parts of the time, of all topics. */
 export function densityOf(topics: readonly ViewerTopic[]): number[] {
-  const byName = new Map(topics.map(({ name, density }) => [name, density])); // a topic of several recordings once
+  const byName = new Map(topics.filter(({ density }) => density.length > 0).map(({ name, density }) => [name, density])); // a topic of several recordings once
   const sums: number[] = [];
   for (const density of byName.values()) density.forEach((count, place) => (sums[place] = (sums[place] ?? 0) + count));
   return sums;
