@@ -193,8 +193,8 @@ await page.locator("[data-slice-of-view] [data-saved]").waitFor();
 results.sliced = { name: sliced.suggestedFilename(), bytes: (await readFile(await sliced.path())).toString("base64"), command: await page.locator("[data-elsewhere] pre, [data-elsewhere] code").first().innerText() };
 await checkPage(page, "viewer-elsewhere");
 await page.getByRole("button", { name: /^Open the whole file/ }).click();
-await page.locator("[data-viewer]").first().waitFor();
-results.sliced.viewers = await page.locator("[data-viewer]").evaluateAll((all) => all.map((one) => one.getAttribute("href")));
+await page.locator("a[data-viewer]").first().waitFor();
+results.sliced.viewers = await page.locator("a[data-viewer]").evaluateAll((all) => all.map((one) => one.getAttribute("href")));
 
 // Somebody without an account opens a share link, and the viewer from its page.
 let isRefused = false;
