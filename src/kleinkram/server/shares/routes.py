@@ -101,10 +101,11 @@ async def view(settings: CurrentSettings) -> Response:
 
 
 def viewer_policy(settings: Settings) -> str:
-    """Return the content policy of that viewer: scripts, workers and WebAssembly of this server, data of the store."""
+    """Return the content policy of that viewer: scripts and workers of this server, data of the store, map images."""
+    tiles = "" if settings.tiles_origin is None else f" {settings.tiles_origin}"
     return (
         "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; font-src 'self'; "
-        f"img-src 'self' blob:; connect-src 'self' {settings.store_origin}; worker-src 'self'; "
+        f"img-src 'self' blob:{tiles}; connect-src 'self' {settings.store_origin}; worker-src 'self'; "
         "form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
     )
 

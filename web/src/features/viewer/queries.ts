@@ -5,6 +5,7 @@ import type { RouteLocationRaw } from "vue-router";
 import { useFile, useFileTopics } from "@/features/file/queries";
 import { useMission, useMissionTopics, useRecordings, type MissionTopic, type Topics } from "@/features/mission/queries";
 import type { Panel } from "./layout";
+import type { NamedPosition } from "./locations";
 import type { SourceFile, SourceRecording } from "./sources";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/queries";
@@ -44,6 +45,8 @@ export interface ViewerPlace {
   readonly title: string;
   /** Where the page is in the app; empty outside of it. */
   readonly crumbs: readonly { readonly label: string; readonly to: RouteLocationRaw }[];
+  /** Places in the metadata of the mission. */
+  readonly locations: readonly NamedPosition[];
 }
 
 const PAGE = 500;
