@@ -2,6 +2,8 @@
 
 import base64
 import json
+import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +66,7 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
         "twoTopics": f"plot*:{mcap_key}@{_IMU},linear_acceleration.x;{keys['drive.bag']}@{_ODOM},pose.pose.position.x",
         "log": f"log:{keys['log.mcap']}@/log",
         "map": f"map:{mcap_key}@/gps/fix",
+        **_computed_panels(mcap_key, keys["drive.bag"]),
     }
     later_ns = mcap.start_ns + 2_345_678_901
     mission_id, file_id = known["drive.mcap"]["mission"]["id"], known["drive.mcap"]["id"]
@@ -99,6 +102,7 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
     middle_ns = (int(results["home"]) + int(results["end"])) // 2
     assert abs(int(results["clicked"]) - middle_ns) < _CLICK_NS
     assert results["added"] == ["linear_acceleration.x", "angular_velocity.x", "pose.pose.position.x"]
+    _assert_computed(results["computed"], paths, later_ns)
     assert results["log"]["lines"] == str(_LINES)
     assert results["log"]["texts"] == [f"line {number}" for number in range(_LINES)]
     assert results["log"]["errors"] == [f"line {number}" for number in range(_LINES) if number % len(_LEVELS) == 3]
@@ -155,6 +159,64 @@ def _assert_map(shown: dict[str, Any], fix_count: int) -> None:
     assert shown["rough"] + shown["read"] == pytest.approx(whole["read"], rel=0.3)
 
 
+def _computed_panels(mcap: str, bag: str) -> dict[str, str]:
+    """Plots of computed curves on two axes, over log and header times. Commas within curves are escaped."""
+    other = f"difference(linear_acceleration.x!2c{bag}@{_ODOM}!2cpose.pose.position.x)@right"
+    own = "derivative(linear_acceleration.x),difference(linear_acceleration.x!2clinear_acceleration.y)"
+    series = f"{mcap}@{_IMU},norm(linear_acceleration)@right,{own},{other};{bag}@{_ODOM},pose.pose.position.x"
+    return {"computed": f"plot*:{series}", "header": f"plot*@header:{series}"}
+
+
+def _assert_computed(results: dict[str, Any], paths: dict[str, Path], at_ns: int) -> None:
+    logged, stamped = results["logged"], results["stamped"]
+    for shown, time_of in ((logged, _log_ns), (stamped, _stamp_ns)):
+        assert dict(_numbers(shown["values"])) == pytest.approx(_computed(paths, at_ns, time_of), rel=1e-9, abs=1e-9)
+        assert shown["axes"] == 3, "time, left and right"
+    derivatives = [dict(_numbers(shown["values"]))["derivative(linear_acceleration.x)"] for shown in (logged, stamped)]
+    assert derivatives[0] != derivatives[1], "the times of headers differ from those of the log"
+    assert stamped["unstamped"] == "0"
+    assert logged["unstamped"] is None
+    assert logged["needsZoom"], "the preview has no computed curves"
+    assert [unit for _, unit, _ in logged["units"]] == ["m/s²", "m/s³", "m/s²", None, "m"]
+    assert [side for _, _, side in logged["units"]] == ["right", "left", "left", "right", "left"]
+    assert results["reopened"] == stamped, "a link shows the very same"
+    pointer = results["pointer"]
+    expected = _computed(paths, int(pointer["timeNs"]), _log_ns)
+    assert abs(int(pointer["timeNs"]) - at_ns) > _CLICK_NS
+    assert dict(_numbers(pointer["values"])) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert results["added"]["values"] == ["linear_acceleration.x", "norm(angular_velocity)", "pose.pose.position.x"]
+    assert "norm(angular_velocity)@right" in results["added"]["address"]
+    assert "plot*@header:" in results["added"]["address"]
+
+
+def _log_ns(message: Any) -> int:
+    return int(message.log_time_ns)
+
+
+def _stamp_ns(message: Any) -> int:
+    stamp = message.value.header.stamp
+    is_ros1 = hasattr(stamp, "secs")
+    seconds, nanoseconds = (stamp.secs, stamp.nsecs) if is_ros1 else (stamp.sec, stamp.nanosec)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def _computed(paths: dict[str, Path], at_ns: int, time_of: Callable[[Any], int]) -> dict[str, float]:
+    """Return the values of the computed curves by the last message until a time."""
+    with Recording.open(paths["drive.mcap"]) as recording:
+        before, last = sorted((one for one in recording.messages(_IMU) if time_of(one) <= at_ns), key=time_of)[-2:]
+    with Recording.open(paths["drive.bag"]) as recording:
+        poses = sorted((time_of(one), one.value.pose.pose.position.x) for one in recording.messages(_ODOM))
+    acceleration, earlier = last.value.linear_acceleration, before.value.linear_acceleration
+    other = [x for time_ns, x in poses if time_ns <= time_of(last)][-1]
+    return {
+        "norm(linear_acceleration)": math.sqrt(acceleration.x**2 + acceleration.y**2 + acceleration.z**2),
+        "derivative(linear_acceleration.x)": (acceleration.x - earlier.x) / ((time_of(last) - time_of(before)) / 1e9),
+        "difference(linear_acceleration.x,linear_acceleration.y)": acceleration.x - acceleration.y,
+        "difference": acceleration.x - other,
+        "pose.pose.position.x": [x for time_ns, x in poses if time_ns <= at_ns][-1],
+    }
+
+
 def _assert_formats(results: dict[str, Any], paths: dict[str, Path], at_ns: int) -> None:
     assert int(results["time"]) == at_ns
     for name, path in zip(("mcap", "bag", "db3"), paths.values(), strict=False):
@@ -203,7 +265,8 @@ def _assert_picture(results: dict[str, Any], path: Path, at_ns: int) -> None:
 
 
 def _numbers(values: list[list[str]]) -> list[tuple[str, float]]:
-    return [(name, float(text)) for name, text in values]
+    """Return values by curve. The name of a difference to another topic, which has its recording, is shortened."""
+    return [("difference" if "@" in name else name, float(text)) for name, text in values]
 
 
 def _write_log(path: Path, start_ns: int) -> Path:

@@ -156,6 +156,50 @@ await panel(0).locator("[data-field='angular_velocity.x']").click();
 await panel(0).locator("[data-field-value='angular_velocity.x']").waitFor();
 results.added = (await plotOf(0)).values.map(([field]) => field);
 
+// Computed curves on two axes, over log times and those of headers; the same by a link; values at the pointer.
+async function computedPlot() {
+  await panel(0).locator("[data-plot][data-messages]").waitFor();
+  await page.waitForFunction(() => [...document.querySelectorAll("[data-field-value]")].every(({ dataset }) => dataset.value !== undefined));
+  const { values } = await plotOf(0);
+  return {
+    values,
+    units: await panel(0).locator("[data-field-value]").evaluateAll((all) => all.map(({ dataset }) => [dataset.fieldValue, dataset.unit ?? null, dataset.side])),
+    axes: await panel(0).locator(".u-axis").count(),
+    unstamped: (await panel(0).locator("[data-header-time]").count()) ? await panel(0).locator("[data-header-time]").getAttribute("data-unstamped") : null,
+    needsZoom: (await panel(0).locator("[data-zoom-needed]").count()) > 0,
+  };
+}
+await goTo(["computed"], laterNs);
+results.computed = { logged: await computedPlot() };
+await checkPage(page, "viewer-computed");
+const box = await panel(0).locator(".u-over").boundingBox();
+const [span, now] = [BigInt(results.end) - BigInt(results.home), BigInt(laterNs) - BigInt(results.home)];
+// Beside the play head, where the messages were read.
+await page.mouse.move(box.x + box.width * (Number(now - 800_000_000n) / Number(span)), box.y + box.height / 2);
+await panel(0).locator("[data-pointer]").waitFor();
+results.computed.pointer = { timeNs: await panel(0).locator("[data-pointer]").getAttribute("data-pointer"), values: (await plotOf(0)).values };
+await page.mouse.move(0, 0);
+await goTo(["header"], laterNs);
+results.computed.stamped = await computedPlot();
+await page.getByRole("button", { name: "Copy link" }).click();
+await page.goto(await page.evaluate(() => navigator.clipboard.readText()));
+results.computed.reopened = await computedPlot();
+
+// The same is set by controls, with the keyboard.
+await goTo(["twoTopics"], laterNs);
+await panel(0).locator("[data-plot][data-messages]").waitFor();
+await panel(0).getByRole("button", { name: "Fields" }).press("Enter");
+const imu = panel(0).locator("[data-series='/imu/data']");
+await imu.getByLabel("Compute", { exact: true }).selectOption("norm");
+await imu.getByLabel("Of the field").selectOption("angular_velocity");
+await imu.getByRole("button", { name: "Add curve" }).press("Enter");
+await imu.locator("[data-side-of='norm(angular_velocity)']").press("Enter");
+await imu.locator("[data-field-value='norm(angular_velocity)'][data-side='right']").waitFor();
+await panel(0).getByLabel("Time of messages").selectOption("header");
+await panel(0).locator("[data-header-time]").waitFor();
+await checkPage(page, "viewer-curves");
+results.computed.added = { values: (await plotOf(0)).values.map(([field]) => field), address: decodeURIComponent(page.url()) };
+
 // A log: its level, and a click on a line.
 await goTo(["log"], laterNs);
 await page.locator("[data-log][data-lines]").waitFor();

@@ -28,7 +28,8 @@ it("reads the fields of a topic that are asked for, and only their sections", as
   expect(Array.from(series?.fields[0]?.high ?? [])).toEqual([1, 0.2, NaN, 3]);
   expect(Array.from(series?.fields[1]?.low ?? [])).toEqual([0.5, 0.5, 0.5, 0.5]);
   expect(series?.fields[2]).toBeNull();
-  expect(reads.length - afterIndex).toBe(4); // two of times, two of numbers
+  expect([...(series?.readSpans ?? [])].map((timeNs) => timeNs - START_NS)).toEqual([0n, 1_900_000_000n, 2_000_000_000n, 3_900_000_000n]);
+  expect(reads.length - afterIndex).toBe(5); // two of times, two of numbers, one of the parts that were read
   expect(await preview.series("/none", [])).toBeNull();
 });
 

@@ -23,6 +23,8 @@ export interface PreviewSeries {
   readonly lastNs: BigInt64Array;
   /** By requested field: the least and greatest value in each bin, NaN where there is none; null for an unknown field. */
   readonly fields: readonly (PreviewField | null)[];
+  /** The first and last time of each part of the recording that was read, in order; empty where it is one. */
+  readonly readSpans: BigInt64Array;
 }
 
 export interface PreviewField {
@@ -81,7 +83,8 @@ export class PreviewFile {
     if (lastNs.length !== firstNs.length) throw damaged("different lengths");
     const offered = entries(entry.fields);
     const values = fields.map((name) => this.field(offered.find((field) => field.name === name), firstNs.length));
-    return { messagesPerBin: natural(entry.messages_per_bin), firstNs, lastNs, fields: await Promise.all(values) };
+    const readSpans = this.index.read_spans === undefined ? new BigInt64Array() : await this.times(this.index.read_spans);
+    return { messagesPerBin: natural(entry.messages_per_bin), firstNs, lastNs, fields: await Promise.all(values), readSpans };
   }
 
   /** Return the track of a topic with GNSS fixes; null where the preview has none of it. */

@@ -19,9 +19,15 @@ export interface RecordingFile {
   cacheBytes?: number;
 }
 
+/** Which time of a message: when it was recorded, or the stamp of its header where that can be used. */
+export type CurveTime = "log" | "header";
+
 export interface CurvesRequest {
   topic: string;
+  /** Paths of fields, or what is computed from them (`curves/derivations.ts`). */
   fields: string[];
+  /** Log time if absent. */
+  time?: CurveTime;
   fromNs: bigint;
   toNs: bigint;
   /** Byte limit; a recording that needs more is shown up to the time that the limit permits. */
@@ -67,6 +73,8 @@ export interface DrawnCurves extends Curves {
   wholeBytes: number;
   damaged: DamagedPart[];
   untilNs: bigint;
+  /** Messages with a log time although the time of headers was requested. */
+  unstamped: number;
 }
 
 /** A slice, and where it is written: into a file, or into memory. */

@@ -1,8 +1,8 @@
 /** One open recording and the requests that it answers, one at a time. Runs in the worker. */
 
-import { CurveCollector } from "./curves/curves";
+import { CurveReading } from "./curves/curve_reading";
 import { decoderOf, type Decode, type Value } from "./decoding/decoder";
-import { fieldTree, numberAt, stepsOf } from "./decoding/fields";
+import { fieldTree } from "./decoding/fields";
 import { ReadFailure } from "./failures";
 import { cost, type Message, type OnDamage, type Piece, type Recording, type Schema, type Span } from "./formats/recording";
 import { MAX_DAMAGED, MAX_MESSAGES_AT_ONCE, READ_AHEAD } from "./limits";
@@ -24,6 +24,8 @@ export interface Observer {
 const REPORT_EVERY_MS = 400;
 const PAUSE_EVERY_MS = 30;
 const SECOND_NS = 1e9;
+/** What is read to find the message before a part. */
+const MAX_PREVIOUS_BYTES = 8 * 2 ** 20;
 /** Where the pieces that are wanted are most of what lies between them, reading ahead saves requests. */
 const DENSE = 0.5;
 
@@ -87,21 +89,19 @@ export class Session {
 
   /** Curves of fields against seconds since the start of the recording, as far as `maxBytes` reach. */
   async curves(request: CurvesRequest, { pause, onCurves }: Pick<Observer, "pause" | "onCurves">): Promise<DrawnCurves> {
-    const start = this.span(request.topic).fromNs;
+    const whole = this.span(request.topic);
     const requested = { fromNs: request.fromNs, toNs: request.toNs };
     const pieces = this.recording.pieces([request.topic], requested);
     const span = affordable(requested, pieces, request.maxBytes);
-    const paths = request.fields.map((field) => stepsOf(field) ?? []);
-    const seconds = (timeNs: bigint): number => Number(timeNs - start) / SECOND_NS;
-    const collector = new CurveCollector(paths.length, seconds(span.fromNs), seconds(span.toNs));
-    const noticed = new Damages(start, (part) => collector.breakAt((part.fromSeconds + part.toSeconds) / 2));
-    const drawn = (): DrawnCurves => ({ ...collector.curves(), damaged: [...noticed.parts], wholeBytes: cost(pieces), untilNs: span.toNs });
+    const reading = new CurveReading(request, whole, span);
+    const noticed = new Damages(whole.fromNs, (part) => reading.breakAt((part.fromSeconds + part.toSeconds) / 2));
+    const drawn = (): DrawnCurves => ({ ...reading.curves(), damaged: [...noticed.parts], wholeBytes: cost(pieces), untilNs: span.toNs });
+    if (reading.needsPrevious && span.fromNs > whole.fromNs) await this.beginWithPrevious(reading, request.topic, span.fromNs);
     this.recording.source.ahead = this.isDense(pieces) ? READ_AHEAD : 0;
     const [pausing, reporting] = [new Timer(PAUSE_EVERY_MS), new Timer(REPORT_EVERY_MS)];
     try {
       for await (const message of this.recording.messages([request.topic], span, "forward", noticed.note)) {
-        const value = this.decodeOrNote(message, noticed);
-        collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
+        reading.add(message, this.decodeOrNote(message, noticed));
         if (reporting.isDue()) onCurves(drawn());
         if (pausing.isDue()) await pause();
       }
@@ -111,6 +111,13 @@ export class Session {
     const last = drawn();
     if (last.messages === 0 && noticed.first !== null) throw noticed.first;
     return last;
+  }
+
+  /** Give a reading the last message before a time, if little reading finds it. */
+  private async beginWithPrevious(reading: CurveReading, topic: string, fromNs: bigint): Promise<void> {
+    const unnoticed = new Damages(fromNs);
+    const { message } = await this.search.find(topic, "previous", fromNs, { maxBytes: MAX_PREVIOUS_BYTES, onDamage: unnoticed.note });
+    if (message !== null && unnoticed.first === null) reading.begin(message, this.decodeOrNote(message, unnoticed));
   }
 
   private span(topic: string): Span {

@@ -154,6 +154,30 @@ export const texts = {
   noLines: "No line matches.",
 } as const;
 
+export const plotTexts = {
+  sides: { left: "Left axis", right: "Right axis" },
+  sideOf: (curve: string, side: "left" | "right") => `${curve}: on the ${side} axis. Change the axis.`,
+  right: "right",
+  rightWhy: "On the right axis",
+  removeCurve: (curve: string) => `Remove ${curve}`,
+  compute: "Compute",
+  computeOf: (topic: string) => `Computed curve of ${topic}`,
+  derivations: { derivative: "Derivative (per second)", difference: "Difference", norm: "Norm of a vector" },
+  ofField: "Of the field",
+  minusField: "Minus the field",
+  minus: (field: string) => `− ${field}`,
+  message: "the whole message",
+  addCurve: "Add curve",
+  zoomNeeded: (isRough: boolean) => (isRough ? "Computed curves need all of them." : "Computed curves need all messages: zoom in to read them."),
+  time: "Time of messages",
+  times: { log: "Log time", header: "Header time" },
+  headerTime: (unstamped: number, isRough: boolean) => {
+    const inLogTime = [...(unstamped > 0 ? [`${counted(unstamped, "message")} without a usable stamp`] : []), ...(isRough ? ["the preview"] : [])];
+    return inLogTime.length === 0 ? "Header time." : `Header time; log time for ${inLogTime.join(" and ")}.`;
+  },
+  pointer: (time: string) => `Values at ${time}`,
+} as const;
+
 export const panelTexts = {
   image: "Image",
   plot: "Plot",

@@ -11,6 +11,9 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from kleinkram.recordings.decoding.sensor_data import CAMERA_TYPES, VIDEO_TYPES
 from kleinkram.recordings.errors import TooDisordered
 from kleinkram.recordings.formats.base import Segment
@@ -34,6 +37,8 @@ MAX_BYTES, MIN_BYTES = 20 * 10**6, 256 * 10**3
 MAX_TOPICS, MAX_CAMERAS, MAX_CLOUD_TOPICS = 500, 16, 4
 MAX_SERIES = 1_000  # fields of all topics: each takes up to 64 kB
 MAX_LEFT_OUT = 100
+MAX_READ_SPANS = 4_000  # as many as a topic has bins
+_MAX_TIME_NS = 2**63 - 1
 # What a message that no reader expected may raise.
 _UNEXPECTED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
@@ -69,8 +74,19 @@ def make_preview(recording: Recording, limits: PreviewLimits | None = None) -> b
     """
     limits = limits or PreviewLimits()
     builder = _PreviewBuilder(recording.topics)
-    read_share = builder.read(recording, limits)
-    return encode_within(builder.preview(read_share), limits.max_bytes or preview_max_bytes(recording.size_bytes))
+    parts = builder.read(recording, limits)
+    return encode_within(builder.preview(parts), limits.max_bytes or preview_max_bytes(recording.size_bytes))
+
+
+@dataclass(frozen=True, eq=False)
+class ReadParts:
+    """What was read of a recording: its share, and `RecordingPreview.read_spans`."""
+
+    share: float
+    spans: NDArray[np.int64]
+
+
+_WHOLE = ReadParts(1.0, np.empty((0, 2), np.int64))
 
 
 class _PreviewBuilder:
@@ -118,10 +134,10 @@ class _PreviewBuilder:
         if len(self._left_out) < MAX_LEFT_OUT:
             self._left_out.append(LeftOutTopic(topic.name, reason[:200]))
 
-    def read(self, recording: Recording, limits: PreviewLimits) -> float:
-        """Read the messages; return the share of the recording that was read."""
+    def read(self, recording: Recording, limits: PreviewLimits) -> ReadParts:
+        """Read the messages; return what was read of the recording."""
         if not self._readers:
-            return 1.0
+            return _WHOLE
         until_cpu_s, until_s = time.process_time() + limits.cpu_s, time.monotonic() + limits.wall_s
         parts = _Parts(recording, frozenset(self._readers), limits)
         done_share = 0.0
@@ -129,13 +145,13 @@ class _PreviewBuilder:
             for block, done_share in parts.blocks():
                 self._add(block)
                 if time.process_time() > until_cpu_s or time.monotonic() > until_s:
-                    return done_share * parts.share
+                    return parts.read(done_share)
         except TooDisordered:
-            return done_share * parts.share
+            return parts.read(done_share)
         finally:
             for topic in list(self._readers):
                 self._finish(topic)
-        return parts.share
+        return parts.read(1.0)
 
     def _add(self, block: Block) -> None:
         readers = self._readers
@@ -165,7 +181,7 @@ class _PreviewBuilder:
         if len(self._left_out) < MAX_LEFT_OUT:
             self._left_out.append(LeftOutTopic(topic, f"its messages cannot be shown ({type(error).__name__})"))
 
-    def preview(self, read_share: float) -> RecordingPreview:
+    def preview(self, parts: ReadParts) -> RecordingPreview:
         """Return what was collected."""
         left_out = list(self._left_out)
         for numbers in self._numbers:
@@ -174,7 +190,7 @@ class _PreviewBuilder:
         return RecordingPreview(
             self._start_ns,
             self._end_ns,
-            read_share,
+            parts.share,
             tuple(series for numbers in self._numbers if (series := numbers.series()) is not None),
             tuple(strip for camera in self._cameras if (strip := camera.strip()) is not None),
             tuple(track for numbers in self._numbers if (track := numbers.track()) is not None),
@@ -182,21 +198,36 @@ class _PreviewBuilder:
             self._logs.count,
             tuple(cloud for reader in self._clouds for cloud in reader.clouds()),
             tuple(left_out),
+            parts.spans,
         )
 
 
 class _Parts:
-    """What is read of a recording: all, or of a large one, segments that are spread evenly. `share`: of the whole."""
+    """What is read of a recording: all, or of a large one, segments that are spread evenly."""
 
     def __init__(self, recording: Recording, topics: frozenset[str], limits: PreviewLimits) -> None:
-        self.share = 1.0
+        self._share = 1.0
         self._recording, self._topics = recording, topics
         self._segments: list[Segment] | None = None
+        self._places: list[int] = []
         if recording.size_bytes > limits.whole_bytes:
             segments = recording.segments(sorted(topics))
             step = max(1.0, sum(segment.size_bytes for segment in segments) / limits.whole_bytes)
-            self._segments = [segments[int(number * step)] for number in range(int(len(segments) / step))]
-            self.share = 1 / step
+            self._places = [int(number * step) for number in range(int(len(segments) / step))]
+            self._segments = [segments[place] for place in self._places]
+            self._share = 1 / step
+
+    def read(self, done_share: float) -> ReadParts:
+        """Return what was read when this share of the parts was, from 0 to 1."""
+        if self._segments is None:
+            return ReadParts(done_share * self._share, _WHOLE.spans)
+        runs: list[tuple[int, int]] = []
+        for number, segment in enumerate(self._segments[: round(done_share * len(self._segments))]):
+            if number and self._places[number] == self._places[number - 1] + 1:  # nothing lies between the two
+                runs[-1] = min(runs[-1][0], segment.first_ns), max(runs[-1][1], segment.last_ns)
+            else:
+                runs.append((segment.first_ns, segment.last_ns))
+        return ReadParts(done_share * self._share, joined_spans(runs))
 
     def blocks(self) -> Iterator[tuple[Block, float]]:
         """Yield messages by time, and how much of these parts was read, from 0 to 1."""
@@ -214,3 +245,17 @@ def _share_of_time(recording: Recording, time_ns: int) -> float:
     if start_ns is None or end_ns is None or end_ns <= start_ns:
         return 0.0
     return min(1.0, max(0.0, (time_ns - start_ns) / (end_ns - start_ns)))
+
+
+def joined_spans(spans: Iterable[tuple[int, int]], most: int = MAX_READ_SPANS) -> NDArray[np.int64]:
+    """Return spans of time in order, those that touch as one; of more than `most`, neighbours are joined, too."""
+    joined: list[tuple[int, int]] = []
+    for first_ns, last_ns in sorted(spans):
+        if joined and first_ns <= joined[-1][1] + 1:
+            joined[-1] = joined[-1][0], max(joined[-1][1], last_ns)
+        else:
+            joined.append((first_ns, last_ns))
+    while len(joined) > most:
+        joined = [(pair[0][0], pair[-1][1]) for pair in (joined[at : at + 2] for at in range(0, len(joined), 2))]
+    bounded = [[min(max(time_ns, -_MAX_TIME_NS), _MAX_TIME_NS) for time_ns in span] for span in joined]
+    return np.array(bounded, np.int64).reshape(-1, 2)

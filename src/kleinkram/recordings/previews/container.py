@@ -97,6 +97,7 @@ def encode(preview: RecordingPreview) -> bytes:
         "clouds": [_cloud(sections, cloud) for cloud in preview.clouds],
         "series": [_series(sections, series) for series in preview.series],
         "left_out": [{"topic": left_out.topic, "reason": left_out.reason} for left_out in preview.left_out],
+        **({"read_spans": sections.array(preview.read_spans)} if len(preview.read_spans) else {}),
     }
     text = json.dumps(index, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "replace")
     stored = zlib.compress(text, _LEVEL)
@@ -269,6 +270,7 @@ class _Parser:
             log_line_count=int(logs["count"]),
             clouds=tuple(self._cloud(entry) for entry in index["clouds"]),
             left_out=tuple(LeftOutTopic(str(entry["topic"]), str(entry["reason"])) for entry in index["left_out"]),
+            read_spans=self._read_spans(),
         )
 
     def cameras(self) -> tuple[CameraStrip, ...]:
@@ -278,6 +280,12 @@ class _Parser:
     def tracks(self) -> tuple[PositionTrack, ...]:
         """Return the positions of all topics."""
         return tuple(self._track(entry) for entry in self._index["tracks"])
+
+    def _read_spans(self) -> NDArray[Any]:
+        import numpy as np
+
+        entry = self._index.get("read_spans")
+        return np.empty((0, 2), np.int64) if entry is None else self._array(entry, "int64").reshape(-1, 2)
 
     def _bytes(self, entry: Mapping[str, Any]) -> memoryview:
         start, length = int(entry["offset"]), int(entry["length"])

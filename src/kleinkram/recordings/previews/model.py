@@ -146,6 +146,9 @@ class RecordingPreview:
         start_ns: earliest time of a message that was read; None without messages.
         end_ns: latest time.
         read_share: share of the recording that was read, from 0 to 1; below 1, all contents are samples.
+        read_spans: int64 [N, 2], earliest and latest log time of each part that was read of a recording that was not
+            read as a whole, in order and apart from each other; nothing is known of the times between. Empty where the
+            whole recording was read, or its beginning.
         log_line_count: lines and statuses in all, of which `log_lines` are the first and the most severe.
     """
 
@@ -159,3 +162,4 @@ class RecordingPreview:
     log_line_count: int
     clouds: tuple[ThinnedCloud, ...]
     left_out: tuple[LeftOutTopic, ...]
+    read_spans: NDArray[np.int64]

@@ -27,7 +27,7 @@ def encode_within(preview: RecordingPreview, max_bytes: int) -> bytes:
         fitting = _first_series(with_series, fitting, max_bytes)
     data = encode(fitting)
     if len(data) > max_bytes:  # names of topics and fields alone
-        data = encode(replace(empty, left_out=(LeftOutTopic("", _TOO_LARGE),)))
+        data = encode(replace(empty, left_out=(LeftOutTopic("", _TOO_LARGE),), read_spans=empty.read_spans[:0]))
     return data
 
 

@@ -67,6 +67,7 @@ def _preview(topics: int = 3, bins: int = 50, field_count: int = 4) -> Recording
         1234,
         (ThinnedCloud("/lidar", T0, "base", 10**6, _RNG.normal(size=(5000, 3)).astype(np.float32)),),
         (LeftOutTopic("/video", "parts of a video"),),
+        T0 + np.array([[0, 5], [9, 2**61]]),
     )
 
 

@@ -319,6 +319,28 @@ def test_a_large_recording_is_read_in_parts_that_are_spread_over_it() -> None:
     assert len(low) == pytest.approx(2000 * preview.read_share, rel=0.1)
     assert max(low) > 1700
     assert min(low) < 100
+    series = preview.series[0]
+    messages_of_part = [
+        ((first <= series.first_ns) & (series.first_ns <= last)).sum() for first, last in preview.read_spans
+    ]
+    assert sum(messages_of_part) == len(low), "every message is of one of the parts"
+    steps = np.diff(series.first_ns)
+    assert (steps > SECOND).sum() == len(preview.read_spans) - 1, "times that were not read lie between parts only"
+
+
+def test_a_recording_that_is_read_as_a_whole_names_no_parts() -> None:
+    assert len(preview_of(ros2_mcap([imu(number, number) for number in range(50)])).read_spans) == 0
+
+
+def test_parts_that_touch_are_one_and_of_too_many_neighbours_are_joined() -> None:
+    assert builder_module.joined_spans([(20, 29), (0, 9), (10, 12), (5, 7)]).tolist() == [[0, 12], [20, 29]]
+    assert builder_module.joined_spans([(number * 10, number * 10 + 5) for number in range(5)], most=3).tolist() == [
+        [0, 15],
+        [20, 35],
+        [40, 45],
+    ]
+    assert builder_module.joined_spans([(1, 2**64 - 1)]).tolist() == [[1, 2**63 - 1]], "times that no index can hold"
+    assert builder_module.joined_spans([]).shape == (0, 2)
 
 
 @pytest.mark.parametrize("limits", [PreviewLimits(cpu_s=0), PreviewLimits(wall_s=0)])

@@ -58,6 +58,9 @@ def _example() -> RecordingPreview:
         log_line_count=7,
         clouds=(),
         left_out=(),
+        read_spans=np.array(
+            [[_START_NS, _START_NS + 1_900_000_000], [_START_NS + 2_000_000_000, _START_NS + 3_900_000_000]]
+        ),
     )
 
 

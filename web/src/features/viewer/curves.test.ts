@@ -1,11 +1,11 @@
 import { expect, it } from "vitest";
-import { aligned, partAround, segmentOf, unreadParts, unreadUntil, valueAt, type Segment } from "./curves";
+import { aligned, partAround, partsToDetail, segmentOf, unreadParts, unreadUntil, valueAt, withDetail, type Segment } from "./curves";
 import type { SourceFile } from "./sources";
 
 const file: SourceFile = { id: "f", path: "a.mcap", format: "mcap", size_bytes: 1, span: { fromNs: 0n, toNs: 100n } };
 
 function segment(fromNs: bigint, toNs: bigint, more: Partial<Segment> = {}): Segment {
-  return { fileId: "f", fromNs, toNs, seconds: [], values: [], messages: 0, isWhole: true, wholeBytes: 0, isCut: false, ...more };
+  return { fileId: "f", fromNs, toNs, seconds: [], values: [], messages: 0, isWhole: true, wholeBytes: 0, isCut: false, unstamped: 0, ...more };
 }
 
 it("names the parts of a file that were not read", () => {
@@ -25,7 +25,7 @@ it("reads around a time only within the unread part that the time is in", () => 
 });
 
 it("covers no more than what was read where the limit was reached", () => {
-  const curves = { seconds: [0, 1], values: [[5, 6]], messages: 2, isWhole: true, wholeBytes: 999, damaged: [], untilNs: 40n };
+  const curves = { seconds: [0, 1], values: [[5, 6]], messages: 2, isWhole: true, wholeBytes: 999, damaged: [], untilNs: 40n, unstamped: 0 };
   expect(segmentOf("f", file.span, curves, 2)).toMatchObject({ fromNs: 0n, toNs: 40n, isCut: true, seconds: [2, 3], wholeBytes: 999 });
   expect(segmentOf("f", file.span, { ...curves, untilNs: 100n }, 2)).toMatchObject({ toNs: 100n, isCut: false });
 });
@@ -58,4 +58,25 @@ it("returns no value from before an unread part", () => {
   expect(valueAt(curves, 0, 30, 49)).toBeNull();
   expect(valueAt(curves, 0, 52, 49)).toBeNull();
   expect(valueAt(curves, 0, 56, 49)).toBe(12);
+});
+
+it("reads again what is zoomed in of a part that is drawn by extremes", () => {
+  const thinned = segment(0n, 100n, { isWhole: false });
+  expect(partsToDetail("f", [thinned], { fromNs: 90n, toNs: 120n })).toEqual([{ fromNs: 90n, toNs: 100n }]);
+  expect(partsToDetail("f", [thinned], { fromNs: 10n, toNs: 70n })).toEqual([]); // hardly more detail
+  expect(partsToDetail("f", [segment(0n, 100n)], { fromNs: 10n, toNs: 20n })).toEqual([]);
+  expect(partsToDetail("g", [thinned], { fromNs: 10n, toNs: 20n })).toEqual([]);
+});
+
+it("puts what was read again into its place", () => {
+  const thinned = segment(0n, 100n, { seconds: [0, 10, 20, 30, 100], values: [[0, 1, 2, 3, 10]], isWhole: false, messages: 1000, wholeBytes: 7, isCut: true });
+  const detail = segment(10n, 29n, { seconds: [10, 11, 29], values: [[1, 1.1, 2.9]], messages: 3 });
+  const segments = withDetail([thinned], detail, Number);
+  expect(segments.map(({ fromNs, toNs, seconds, messages, wholeBytes, isCut }) => [fromNs, toNs, seconds, messages, wholeBytes, isCut])).toEqual([
+    [0n, 9n, [0], 997, 7, true],
+    [30n, 100n, [30, 100], 0, 0, false],
+    [10n, 29n, [10, 11, 29], 3, 0, false],
+  ]);
+  expect(aligned([{ curves: 1, segments }])).toEqual({ seconds: [0, 10, 11, 29, 30, 100], values: [[0, 1, 1.1, 2.9, 3, 10]] });
+  expect(withDetail([segment(0n, 9n)], detail, Number)).toHaveLength(2);
 });

@@ -2,6 +2,7 @@
 import { MAX_BYTES_UNCONFIRMED } from "@/recordings/limits";
 import type { Span } from "@/recordings/formats/recording";
 import type { DrawnCurves } from "@/recordings/protocol";
+import type { PlotCurve } from "./plot_curves";
 import type { SourceFile } from "./sources";
 
 /** A part of a file that was read. */
@@ -13,7 +14,7 @@ export interface FilePart extends Span {
 export interface Segment extends FilePart {
   /** Seconds since the beginning of the viewer's time. */
   readonly seconds: readonly number[];
-  /** By field. */
+  /** By column: a field, or what is computed from each message. */
   readonly values: readonly (readonly (number | null | undefined)[])[];
   readonly messages: number;
   /** Whether these are all points, or the extremes of slices. */
@@ -22,10 +23,16 @@ export interface Segment extends FilePart {
   readonly wholeBytes: number;
   /** Whether more is to be read, which `wholeBytes` includes. */
   readonly isCut: boolean;
+  /** Messages with a log time although the time of headers was requested. */
+  readonly unstamped: number;
 }
 
 /** What a plot knows of one of its topics. */
 export interface SeriesState {
+  readonly curves: readonly PlotCurve[];
+  /** What is read, by which the values of segments are sorted. */
+  readonly columns: readonly string[];
+  /** The fields and vectors that the topic offers. */
   readonly fields: readonly string[];
   readonly segments: readonly Segment[];
   /** Curves of the previews, in the parts that were not read. */
@@ -47,14 +54,14 @@ const AROUND_AFTER_NS = 15_000_000_000n;
 /** Returns the segment of curves that a file gave; `offsetSeconds` is the start of its recording on the axis. */
 export function segmentOf(fileId: string, requested: Span, curves: DrawnCurves, offsetSeconds: number): Segment {
   const untilNs = curves.untilNs < requested.toNs ? curves.untilNs : requested.toNs;
-  const { values, messages, isWhole, wholeBytes } = curves;
+  const { values, messages, isWhole, wholeBytes, unstamped } = curves;
   const seconds = curves.seconds.map((second) => second + offsetSeconds);
-  return { fileId, fromNs: requested.fromNs, toNs: untilNs, seconds, values, messages, isWhole, wholeBytes, isCut: untilNs < requested.toNs };
+  return { fileId, fromNs: requested.fromNs, toNs: untilNs, seconds, values, messages, isWhole, wholeBytes, isCut: untilNs < requested.toNs, unstamped };
 }
 
 /** Returns the segment of a part of a file that has no message of the topic. */
 export function emptySegment(fileId: string, part: Span): Segment {
-  return { ...part, fileId, seconds: [], values: [], messages: 0, isWhole: true, wholeBytes: 0, isCut: false };
+  return { ...part, fileId, seconds: [], values: [], messages: 0, isWhole: true, wholeBytes: 0, isCut: false, unstamped: 0 };
 }
 
 /** Returns the parts of a file that no segment covers, in order. */
@@ -82,6 +89,37 @@ export function partAround(unread: readonly Span[], timeNs: bigint): Span | null
 export function partsWithin(unread: readonly Span[], { fromNs, toNs }: Span): Span[] {
   const parts = unread.map((part) => ({ fromNs: part.fromNs > fromNs ? part.fromNs : fromNs, toNs: part.toNs < toNs ? part.toNs : toNs }));
   return parts.filter((part) => part.fromNs <= part.toNs);
+}
+
+/** A part is read again where it is at most this share of one that is drawn by its extremes. */
+const DETAIL_SHARE = 0.5;
+
+/** Returns what of a span is drawn by extremes, which reading it alone would show in more detail. */
+export function partsToDetail(fileId: string, segments: readonly Segment[], span: Span): Span[] {
+  return segments.flatMap((segment) => {
+    if (segment.fileId !== fileId || segment.isWhole) return [];
+    const [part] = partsWithin([segment], span);
+    const isPart = part !== undefined && Number(part.toNs - part.fromNs) <= DETAIL_SHARE * Number(segment.toNs - segment.fromNs);
+    return isPart ? [part] : [];
+  });
+}
+
+/** Returns segments with one that was read again in their place: what they have in its time is left out. */
+export function withDetail(segments: readonly Segment[], detail: Segment, secondsOf: (timeNs: bigint) => number): Segment[] {
+  const [from, to] = [secondsOf(detail.fromNs), secondsOf(detail.toNs)];
+  const others = segments.flatMap((segment) => {
+    const [overlap] = partsWithin([segment], detail);
+    if (segment.fileId !== detail.fileId || overlap === undefined) return [segment];
+    const before = segmentWithin({ ...segment, toNs: detail.fromNs - 1n, messages: segment.messages - detail.messages }, (second) => second < from);
+    const after = segmentWithin({ ...segment, fromNs: detail.toNs + 1n, messages: 0, unstamped: 0, wholeBytes: 0, isCut: false }, (second) => second > to);
+    return [before, after].filter(({ fromNs, toNs }) => fromNs <= toNs);
+  });
+  return [...others, detail];
+}
+
+function segmentWithin(segment: Segment, isWithin: (second: number) => boolean): Segment {
+  const rows = segment.seconds.flatMap((second, row) => (isWithin(second) ? [row] : []));
+  return { ...segment, seconds: rows.map((row) => segment.seconds[row] ?? 0), values: segment.values.map((curve) => rows.map((row) => curve[row])) };
 }
 
 export interface Aligned {

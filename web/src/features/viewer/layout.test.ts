@@ -16,6 +16,14 @@ it("writes a panel into an address and reads the same", () => {
   expect(panelOf(through)).toEqual(panel);
 });
 
+it("keeps the time that a plot shows, and has none where an earlier version wrote none", () => {
+  const headerTime: Panel = { ...panel, isHeaderTime: true };
+  expect(panelText(headerTime)).toMatch(/^plot\*@header:04cf00a6@/);
+  expect(panelOf(panelText(headerTime))).toEqual(headerTime);
+  expect(panelOf("plot@header:a@/x")).toEqual({ kind: "plot", isWide: false, isHeaderTime: true, series: [{ recording: "a", topic: "/x", fields: [] }] });
+  expect(panelOf("plot@other:a@/x")).toBeNull();
+});
+
 it("leaves out what describes no panel", () => {
   expect(panelsOf(["", "plot", "plot:", "image:@/x", "Image:a@/x", "image:a@/x"])).toEqual([{ kind: "image", isWide: false, series: [{ recording: "a", topic: "/x", fields: [] }] }]);
 });

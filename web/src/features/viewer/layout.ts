@@ -1,4 +1,5 @@
 // The panels of the viewer and what each shows, as the address writes them.
+import { escaped, unescaped } from "@/recordings/curves/derivation_text";
 
 /** A topic of a recording, and the fields of it that are shown. */
 export interface Series {
@@ -14,33 +15,25 @@ export interface Panel {
   readonly series: readonly Series[];
   /** Whether it is as wide as the page. */
   readonly isWide: boolean;
+  /** Whether times are those of the headers of messages; log times if absent. */
+  readonly isHeaderTime?: boolean;
 }
 
 export const MAX_PANELS = 16;
 const WIDE = "*";
-/** What separates, and what escapes it. A percent sign would be escaped again by the address. */
-const SPECIAL = /[!,;]/g;
-const ESCAPED = /!([0-9a-f]{2})/g;
-
-function escaped(text: string): string {
-  return text.replaceAll(SPECIAL, (mark) => `!${mark.charCodeAt(0).toString(16).padStart(2, "0")}`);
-}
-
-function unescaped(text: string): string {
-  return text.replaceAll(ESCAPED, (_, code: string) => String.fromCharCode(Number.parseInt(code, 16)));
-}
+const HEADER_TIME = "@header";
 
 /** Returns a panel as text: `plot*:04cf00a6@/imu,linear_acceleration.x;04cf00a6@/odom`. */
-export function panelText({ kind, isWide, series }: Panel): string {
+export function panelText({ kind, isWide, isHeaderTime, series }: Panel): string {
   const parts = series.map(({ recording, topic, fields }) => [`${recording}@${escaped(topic)}`, ...fields.map(escaped)].join(","));
-  return `${kind}${isWide ? WIDE : ""}:${parts.join(";")}`;
+  return `${kind}${isWide ? WIDE : ""}${isHeaderTime === true ? HEADER_TIME : ""}:${parts.join(";")}`;
 }
 
 /** Returns the panel that a text describes; null where it describes none. */
 export function panelOf(text: string): Panel | null {
-  const match = /^([a-z]+)(\*?):(.+)$/s.exec(text);
+  const match = /^([a-z]+)(\*?)(@header)?:(.+)$/s.exec(text);
   if (match === null) return null;
-  const [, kind = "", wide, rest = ""] = match;
+  const [, kind = "", wide, time, rest = ""] = match;
   const series: Series[] = [];
   for (const part of rest.split(";")) {
     const [source = "", ...fields] = part.split(",");
@@ -48,7 +41,7 @@ export function panelOf(text: string): Panel | null {
     if (at < 1) return null;
     series.push({ recording: source.slice(0, at), topic: unescaped(source.slice(at + 1)), fields: fields.map(unescaped) });
   }
-  return { kind, isWide: wide === WIDE, series };
+  return { kind, isWide: wide === WIDE, series, ...(time === HEADER_TIME ? { isHeaderTime: true } : {}) };
 }
 
 /** Returns the panels of an address; what describes no panel is left out. */

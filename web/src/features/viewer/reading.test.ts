@@ -25,10 +25,11 @@ interface Made {
   readonly curvesNs?: bigint;
   readonly sizeBytes?: number;
   readonly preview?: Partial<PreviewFile>;
+  readonly isWhole?: boolean;
 }
 
 /** A viewer of one file with a message in every step of time. */
-function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, preview }: Made) {
+function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, preview, isWhole = true }: Made) {
   const requests: { readonly fromNs: bigint; readonly toNs: bigint }[] = [];
   const note = (request: { fromNs: bigint; toNs: bigint }): void => {
     if (requests.push({ fromNs: request.fromNs, toNs: request.toNs }) > MOST_REQUESTS) throw new ReadFailure("too_large");
@@ -50,7 +51,7 @@ function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, p
       if (kind === "fields") return { fields: [{ path: "x", name: "x", isNumber: true, children: [] }] };
       note(request);
       const untilNs = request.fromNs + curvesNs < request.toNs ? request.fromNs + curvesNs : request.toNs;
-      return { seconds: [], values: [[]], messages: 0, isWhole: true, damaged: [], wholeBytes: 2 ** 30, untilNs };
+      return { seconds: [], values: [[]], messages: 0, isWhole, damaged: [], wholeBytes: 2 ** 30, untilNs, unstamped: 0 };
     },
     close: () => undefined,
   } as unknown as FileReader;
@@ -124,6 +125,7 @@ const BINS = {
   firstNs: new BigInt64Array(MINUTES),
   lastNs: new BigInt64Array(MINUTES.map((timeNs) => timeNs + 59n * SECOND)),
   fields: [{ low: MINUTES.map((_, minute) => -minute), high: MINUTES.map((_, minute) => minute) }],
+  readSpans: new BigInt64Array(),
 };
 const LARGE = { stepNs: 1_000_000n, curvesNs: 100n * SECOND, sizeBytes: 50e9 };
 
@@ -157,6 +159,39 @@ it("reads no more than the limit of what is zoomed in", async () => {
   vi.runAllTimers();
   await settled();
   expect(requests.slice(1)).toEqual([{ fromNs: 250n * SECOND, toNs: 298n * SECOND - 1n }]);
+});
+
+it("reads again what is zoomed in of a curve that is drawn by its extremes", async () => {
+  vi.useFakeTimers({ toFake: ["setTimeout", "clearTimeout"] });
+  const { using, requests } = viewerAt(0n, { stepNs: 1_000_000n, curvesNs: 600n * SECOND, isWhole: false });
+  const zoomed = ref<{ fromNs: bigint; toNs: bigint } | null>(null);
+  const { segments } = using(() => useCurves(() => series, () => 0, () => zoomed.value));
+  await settled();
+  expect(requests).toEqual([SPAN]);
+  zoomed.value = { fromNs: 100n * SECOND, toNs: 150n * SECOND };
+  await settled();
+  vi.runAllTimers();
+  await settled();
+  expect(requests.slice(1)).toEqual([zoomed.value]);
+  expect(segments.value.map(({ fromNs, toNs }) => [fromNs, toNs])).toEqual([[0n, 100n * SECOND - 1n], [150n * SECOND + 1n, 600n * SECOND], [100n * SECOND, 150n * SECOND]]);
+});
+
+it("reads anew with the fields that other topics subtract, and with another time", async () => {
+  const { using, requests } = viewerAt(0n, { stepNs: 1_000_000n, curvesNs: 600n * SECOND });
+  const [operands, time] = [ref<readonly string[]>([]), ref<"log" | "header">("log")];
+  const { columns } = using(() => useCurves(() => series, () => 0, () => null, { operands: () => operands.value, time: () => time.value }));
+  await settled();
+  expect(columns.value).toEqual(["x"]);
+  operands.value = ["y", "x"];
+  await settled();
+  expect(columns.value).toEqual(["x", "y"]);
+  expect(requests).toHaveLength(2);
+  operands.value = ["y", "x"];
+  await settled();
+  expect(requests).toHaveLength(2);
+  time.value = "header";
+  await settled();
+  expect(requests).toHaveLength(3);
 });
 
 it.each([

@@ -41,6 +41,14 @@ describe("saved layouts", () => {
     expect(fittedLayout([text], HERE)).toEqual({ panels: [], leftOut: 1 });
   });
 
+  it("name the recordings that curves subtract, too, and leave out curves of those that are gone", () => {
+    const text = "plot@header:04cf00a6@/imu,x@right,difference(x!2c9b1c22de@/imu!2cy)@right";
+    const saved = portableTexts(panelsOf([text]), HERE);
+    expect(saved).toEqual(["plot@header:1@/imu,x@right,difference(x!2c2@/imu!2cy)@right"]);
+    expect(fittedLayout(saved, HERE).panels.map(panelText)).toEqual([text]);
+    expect(fittedLayout(saved, HERE.slice(0, 2)).panels.map(panelText)).toEqual(["plot@header:04cf00a6@/imu,x@right"]);
+  });
+
   it("keep the fields with what separates them", () => {
     const panels = [{ kind: "plot", isWide: false, series: [{ recording: "04cf00a6", topic: "/imu", fields: ["a,b", "c;d!"] }] }];
     expect(fittedLayout(portableTexts(panels, HERE), HERE).panels).toEqual(panels);

@@ -1,5 +1,6 @@
 // Layouts that fit other missions: instead of a recording, a series names a place among those that have its topic.
 import { panelsOf, panelText, type Panel, type Series } from "./layout";
+import { withRecording } from "./plot_curves";
 import type { ViewerTopic } from "./queries";
 
 type TopicPlace = Pick<ViewerTopic, "recording" | "name">;
@@ -32,12 +33,12 @@ function recordingsByTopic(topics: readonly TopicPlace[]): ReadonlyMap<string, r
   return keys;
 }
 
-/** Returns panels with other recordings; a series without one is left out, and a panel without a series. */
-function withSeries(panels: readonly Panel[], recordingOf: (series: Series) => string | null): Panel[] {
+/** Returns panels with other recordings; a series or curve without one is left out, and a panel without a series. */
+function withSeries(panels: readonly Panel[], recordingOf: (topic: Pick<Series, "recording" | "topic">) => string | null): Panel[] {
   return panels.flatMap((panel) => {
     const series = panel.series.flatMap((one) => {
       const recording = recordingOf(one);
-      return recording === null ? [] : [{ ...one, recording }];
+      return recording === null ? [] : [{ ...one, recording, fields: one.fields.flatMap((field) => withRecording(field, recordingOf) ?? []) }];
     });
     return series.length === 0 ? [] : [{ ...panel, series }];
   });

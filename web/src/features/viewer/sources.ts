@@ -1,6 +1,6 @@
 // The recordings that the viewer reads: one worker for each file, started when a panel needs it.
 import type { Which, MessageRequest, MessagesRequest, ProductName, ReadMessage } from "@/recordings/products/products";
-import type { DrawnCurves, OfferedFields, Opened, ReadableFormat } from "@/recordings/protocol";
+import type { CurveTime, DrawnCurves, OfferedFields, Opened, ReadableFormat } from "@/recordings/protocol";
 import type { MessageAnswer, MessagesAnswer, RecordingReader, RequestOptions } from "@/recordings/reader";
 import type { Series } from "./layout";
 import { ReadFailure } from "@/recordings/failures";
@@ -97,7 +97,7 @@ export class Sources {
   }
 
   /** The curves of a topic in one file; null where the file has none of its messages. */
-  curves(file: SourceFile, series: Series, span: Span & { maxBytes: number }, options: RequestOptions): Promise<{ opened: Opened; curves: DrawnCurves } | null> {
+  curves(file: SourceFile, series: Series, span: Span & { maxBytes: number; time: CurveTime }, options: RequestOptions): Promise<{ opened: Opened; curves: DrawnCurves } | null> {
     return this.use(file, async (reader) => {
       const request = { topic: series.topic, fields: [...series.fields], ...span };
       const curves = await topicOrNone(reader.request("curves", request, options));

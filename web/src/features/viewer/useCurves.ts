@@ -1,15 +1,17 @@
 // Reads the curves of one topic: those of the previews of a large recording, else the beginning up to a limit; then what
 // is around the play head or in the part that is zoomed in, and the rest on demand.
-import { computed, onScopeDispose, ref, shallowRef, watch, type ComputedRef, type Ref } from "vue";
-import { AROUND_BYTES, emptySegment, partAround, partsWithin, PLOT_BYTES, segmentOf, unreadParts, type Segment } from "./curves";
+import { computed, onScopeDispose, shallowRef, watch, type ComputedRef, type Ref } from "vue";
+import { AROUND_BYTES, emptySegment, partAround, partsToDetail, partsWithin, PLOT_BYTES, segmentOf, unreadParts, withDetail, type Segment } from "./curves";
 import type { Series } from "./layout";
+import { chosenCurves, type PlotCurve } from "./plot_curves";
 import { roughSegments, type FileSeries } from "./rough_curves";
 import type { SourceFile } from "./sources";
+import { useReading } from "./useReading";
 import { secondsOf, useViewer } from "./viewer";
-import { chosenFields } from "@/features/file/viewer/plot";
-import { failureOf, ReadFailure } from "@/recordings/failures";
+import { ReadFailure } from "@/recordings/failures";
 import type { Span } from "@/recordings/formats/recording";
 import type { FieldNode } from "@/recordings/decoding/fields";
+import type { CurveTime } from "@/recordings/protocol";
 
 export interface SeriesCurves {
   readonly segments: Ref<readonly Segment[]>;
@@ -17,8 +19,10 @@ export interface SeriesCurves {
   readonly rough: ComputedRef<readonly Segment[]>;
   /** The fields that the topic offers; null until they are read. */
   readonly offered: Ref<readonly FieldNode[] | null>;
-  /** The fields that are drawn: those of the series, or the defaults of the message type. */
-  readonly fields: ComputedRef<readonly string[]>;
+  /** What is drawn: the curves of the series, or the defaults of the message type. */
+  readonly curves: ComputedRef<readonly PlotCurve[]>;
+  /** What is read for them and for the differences of other series. */
+  readonly columns: ComputedRef<readonly string[]>;
   readonly unread: ComputedRef<readonly Span[]>;
   readonly failure: Ref<ReadFailure | null>;
   readonly isReading: Ref<boolean>;
@@ -28,7 +32,11 @@ export interface SeriesCurves {
   readonly again: () => void;
 }
 
-type Read = (file: SourceFile, part: Span, maxBytes: number) => Promise<Segment>;
+interface CurveOptions {
+  /** Fields that the differences of other series subtract. */
+  readonly operands?: () => readonly string[];
+  readonly time?: () => CurveTime;
+}
 
 /** Curves come after the messages at the time of the play head. */
 const AFTER_MESSAGES = 1_000;
@@ -37,70 +45,51 @@ const AFTER_MESSAGES = 1_000;
 const ZOOM_PAUSE_MS = 300;
 
 /** Reads the curves of a series, and follows it, the play head, and the part of the time that is zoomed in. */
-export function useCurves(series: () => Series, priority: () => number, zoomed: () => Span | null): SeriesCurves {
+export function useCurves(series: () => Series, priority: () => number, zoomed: () => Span | null, { operands = () => [], time = () => "log" }: CurveOptions = {}): SeriesCurves {
   const { clock, sources, previews, topics } = useViewer();
   const segments = shallowRef<readonly Segment[]>([]);
   const previewed = shallowRef<readonly FileSeries[]>([]);
   const offered = shallowRef<readonly FieldNode[] | null>(null);
-  const failure = shallowRef<ReadFailure | null>(null);
-  const isReading = ref(false);
-  let controller = new AbortController();
+  const { failure, isReading, attempt, stop: stopReading } = useReading();
   let zoomToRead: Span | null = null;
   let zoomTimer: ReturnType<typeof setTimeout> | undefined;
 
   const topic = computed(() => topics.find(({ recording, name }) => recording === series().recording && name === series().topic));
   const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
-  const fields = computed(() => (offered.value === null ? [] : chosenFields(offered.value, series().fields, topic.value?.messageType ?? null)));
+  const curves = computed(() => (offered.value === null ? [] : chosenCurves(offered.value, series().fields, topic.value?.messageType ?? null)));
+  const columns = computed(() => (offered.value === null ? [] : [...new Set([...curves.value.map(({ column }) => column), ...operands()])]));
   /** Of a small recording, everything is read anyway. */
   const isLarge = computed(() => files.value.reduce((sum, file) => sum + file.size_bytes, 0) > PLOT_BYTES);
   const rough = computed(() => roughSegments(previewed.value, segments.value, (timeNs) => secondsOf(clock, timeNs)));
   const unread = computed(() => files.value.flatMap((file) => unreadParts(file, segments.value)));
   const wholeBytes = computed(() => (unread.value.length === 0 ? 0 : segments.value.reduce((sum, { wholeBytes: bytes, isCut }) => sum + (isCut ? bytes : 0), 0)));
 
-  /** Runs one reading at a time, which ends when the series changes. Returns whether it was completed. */
-  async function attempt(act: (read: Read) => Promise<void>): Promise<boolean> {
-    if (isReading.value) return false;
-    const own = controller;
-    isReading.value = true;
-    failure.value = null;
-    try {
-      await act((file, part, maxBytes) => read(file, part, maxBytes, own.signal));
-      return !own.signal.aborted;
-    } catch (thrown) {
-      const failed = failureOf(thrown, "worker_ended");
-      if (own === controller && failed.code !== "cancelled") failure.value = failed;
-      return false;
-    } finally {
-      if (own === controller) isReading.value = false;
-    }
-  }
-
   async function read(file: SourceFile, part: Span, maxBytes: number, signal: AbortSignal): Promise<Segment> {
     const before = segments.value;
     const show = (segment: Segment): Segment => {
       if (signal.aborted) throw new ReadFailure("cancelled");
-      segments.value = [...before, segment];
+      segments.value = withDetail(before, segment, (timeNs) => secondsOf(clock, timeNs));
       return segment;
     };
     const startSeconds = secondsOf(clock, file.span.fromNs);
-    const result = await sources.curves(file, { ...series(), fields: fields.value }, { ...part, maxBytes }, {
+    const result = await sources.curves(file, { ...series(), fields: columns.value }, { ...part, maxBytes, time: time() }, {
       signal,
       priority: priority() + AFTER_MESSAGES,
       // What was read so far covers nothing yet: the rest stays marked as unread.
-      onCurves: (curves) => !signal.aborted && show(segmentOf(file.id, part, { ...curves, untilNs: part.fromNs }, startSeconds)),
+      onCurves: (drawn) => !signal.aborted && show(segmentOf(file.id, part, { ...drawn, untilNs: part.fromNs }, startSeconds)),
     });
     if (result === null) return show(emptySegment(file.id, part));
     return show(segmentOf(file.id, part, result.curves, secondsOf(clock, result.opened.span?.fromNs ?? file.span.fromNs)));
   }
 
   function readBeginning(): Promise<boolean> {
-    return attempt(async (readPart) => {
-      if (isLarge.value && (await showPreviews(controller.signal))) return;
+    return attempt(async (signal) => {
+      if (isLarge.value && (await showPreviews(signal))) return;
       let bytesLeft = PLOT_BYTES;
       for (const file of files.value) {
         const [part] = unreadParts(file, segments.value);
         if (bytesLeft <= 0 || part === undefined) continue;
-        bytesLeft -= (await readPart(file, part, bytesLeft)).wholeBytes;
+        bytesLeft -= (await read(file, part, bytesLeft, signal)).wholeBytes;
       }
     });
   }
@@ -109,7 +98,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   async function showPreviews(signal: AbortSignal): Promise<boolean> {
     for (const file of files.value) {
       const preview = await previews.of(file.id).catch(() => null);
-      const bins = await preview?.series(series().topic, fields.value).catch(() => null);
+      const bins = await preview?.series(series().topic, columns.value).catch(() => null);
       if (signal.aborted) throw new ReadFailure("cancelled");
       if (bins) previewed.value = [...previewed.value, { file, series: bins }];
     }
@@ -117,28 +106,28 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   }
 
   function readAll(): Promise<boolean> {
-    return attempt(async (readPart) => {
+    return attempt(async (signal) => {
       for (const file of files.value) {
-        for (const part of unreadParts(file, segments.value)) await readPart(file, part, Infinity);
+        for (const part of unreadParts(file, segments.value)) await read(file, part, Infinity, signal);
       }
     });
   }
 
   function readAround(timeNs: bigint): Promise<boolean> {
-    return attempt(async (readPart) => {
+    return attempt(async (signal) => {
       for (const file of files.value) {
         const part = partAround(unreadParts(file, segments.value), timeNs);
-        if (part !== null) await readPart(file, part, AROUND_BYTES);
+        if (part !== null) await read(file, part, AROUND_BYTES, signal);
       }
     });
   }
 
   function readWithin(span: Span): Promise<boolean> {
-    return attempt(async (readPart) => {
+    return attempt(async (signal) => {
       let bytesLeft = PLOT_BYTES;
       for (const file of files.value) {
-        for (const part of partsWithin(unreadParts(file, segments.value), span)) {
-          if (bytesLeft > 0) bytesLeft -= (await readPart(file, part, bytesLeft)).wholeBytes;
+        for (const part of [...partsWithin(unreadParts(file, segments.value), span), ...partsToDetail(file.id, segments.value, span)]) {
+          if (bytesLeft > 0) bytesLeft -= (await read(file, part, bytesLeft, signal)).wholeBytes;
         }
       }
     });
@@ -148,17 +137,14 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   function restart(): void {
     stop();
     offered.value = null;
-    void attempt(async () => {
-      const { signal } = controller;
+    void attempt(async (signal) => {
       const { fields: tree } = await sources.fields(series(), { signal, priority: priority() + AFTER_MESSAGES });
       if (!signal.aborted) offered.value = tree;
     });
   }
 
   function stop(): void {
-    controller.abort();
-    controller = new AbortController();
-    isReading.value = false;
+    stopReading();
     segments.value = [];
     previewed.value = [];
   }
@@ -166,12 +152,13 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   function draw(): void {
     if (offered.value === null) return;
     stop();
-    if (fields.value.length > 0) void thenFollow(readBeginning());
+    zoomToRead = zoomed();
+    if (columns.value.length > 0) void thenFollow(readBeginning());
   }
 
   /** Reads what is zoomed in, then around the play head where that was not read; goes on while either has changed since. */
   async function follow(): Promise<void> {
-    if (isReading.value || failure.value !== null || fields.value.length === 0) return;
+    if (isReading.value || failure.value !== null || columns.value.length === 0) return;
     const timeNs = clock.timeNs.value;
     const isUnread = unread.value.some((part) => timeNs >= part.fromNs && timeNs <= part.toNs);
     const span = zoomToRead;
@@ -185,7 +172,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   }
 
   watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
-  watch(() => JSON.stringify([offered.value === null, fields.value]), draw);
+  watch(() => JSON.stringify([offered.value === null, columns.value, time()]), draw);
   watch(clock.timeNs, follow);
   watch(zoomed, (span) => {
     clearTimeout(zoomTimer);
@@ -194,9 +181,6 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
       void follow();
     }, ZOOM_PAUSE_MS);
   });
-  onScopeDispose(() => {
-    clearTimeout(zoomTimer);
-    controller.abort();
-  });
-  return { segments, rough, offered, fields, unread, failure, isReading, wholeBytes, readAll: () => void thenFollow(readAll()), again: () => (offered.value === null ? restart() : draw()) };
+  onScopeDispose(() => clearTimeout(zoomTimer));
+  return { segments, rough, offered, curves, columns, unread, failure, isReading, wholeBytes, readAll: () => void thenFollow(readAll()), again: () => (offered.value === null ? restart() : draw()) };
 }

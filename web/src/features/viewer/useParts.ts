@@ -1,11 +1,12 @@
 // Reads what a panel gathers from the messages of one topic: the beginning up to a limit, what is around the play head,
 // and the rest on demand.
-import { computed, onScopeDispose, ref, shallowRef, watch, type ComputedRef, type Ref } from "vue";
+import { computed, shallowRef, watch, type ComputedRef, type Ref } from "vue";
 import { partAround, unreadParts, type FilePart } from "./curves";
 import type { Series } from "./layout";
 import type { SourceFile } from "./sources";
+import { useReading } from "./useReading";
 import { useViewer } from "./viewer";
-import { failureOf, type ReadFailure } from "@/recordings/failures";
+import type { ReadFailure } from "@/recordings/failures";
 import type { Span } from "@/recordings/formats/recording";
 import type { ProductName, ReadMessage } from "@/recordings/products/products";
 
@@ -38,8 +39,6 @@ const AROUND_PAGES = 2;
 /** What is gathered comes after the messages at the time of the play head. */
 const AFTER_MESSAGES = 1_000;
 
-type Read = (file: SourceFile, part: Span, maxPages: number) => Promise<number>;
-
 /** Shows something else instead of the beginning of a series; returns whether it did. */
 export type Instead = (files: readonly SourceFile[], signal: AbortSignal) => Promise<boolean>;
 
@@ -47,30 +46,10 @@ export type Instead = (files: readonly SourceFile[], signal: AbortSignal) => Pro
 export function useParts<P extends ProductName, Content>(series: () => Series, gathering: Gathering<P, Content>, priority: () => number, instead?: Instead): PartsRead<Content> {
   const { clock, sources } = useViewer();
   const parts = shallowRef<readonly ReadPart<Content>[]>([]);
-  const failure = shallowRef<ReadFailure | null>(null);
-  const isReading = ref(false);
-  let controller = new AbortController();
+  const { failure, isReading, attempt, stop } = useReading();
 
   const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
   const unread = computed(() => files.value.flatMap((file) => unreadParts(file, parts.value)));
-
-  /** Runs one reading at a time, which ends when the series changes. Returns whether it was completed. */
-  async function attempt(act: (read: Read) => Promise<void>): Promise<boolean> {
-    if (isReading.value) return false;
-    const own = controller;
-    isReading.value = true;
-    failure.value = null;
-    try {
-      await act((file, part, maxPages) => read(file, part, maxPages, own.signal));
-      return !own.signal.aborted;
-    } catch (thrown) {
-      const failed = failureOf(thrown, "worker_ended");
-      if (own === controller && failed.code !== "cancelled") failure.value = failed;
-      return false;
-    } finally {
-      if (own === controller) isReading.value = false;
-    }
-  }
 
   /** Reads pages of an unread part; returns how many. */
   async function read(file: SourceFile, part: Span, maxPages: number, signal: AbortSignal): Promise<number> {
@@ -90,38 +69,35 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
   }
 
   function readBeginning(): Promise<boolean> {
-    const { signal } = controller;
-    return attempt(async (readPart) => {
+    return attempt(async (signal) => {
       if ((await instead?.(files.value, signal)) === true || signal.aborted) return;
       let pagesLeft = BEGINNING_PAGES;
       for (const file of files.value) {
         const [part] = unreadParts(file, parts.value);
-        if (pagesLeft > 0 && part !== undefined) pagesLeft -= await readPart(file, part, pagesLeft);
+        if (pagesLeft > 0 && part !== undefined) pagesLeft -= await read(file, part, pagesLeft, signal);
       }
     });
   }
 
   function readAll(): Promise<boolean> {
-    return attempt(async (readPart) => {
+    return attempt(async (signal) => {
       for (const file of files.value) {
-        for (const part of unreadParts(file, parts.value)) await readPart(file, part, Infinity);
+        for (const part of unreadParts(file, parts.value)) await read(file, part, Infinity, signal);
       }
     });
   }
 
   function readAround(timeNs: bigint): Promise<boolean> {
-    return attempt(async (readPart) => {
+    return attempt(async (signal) => {
       for (const file of files.value) {
         const part = partAround(unreadParts(file, parts.value), timeNs);
-        if (part !== null) await readPart(file, part, AROUND_PAGES);
+        if (part !== null) await read(file, part, AROUND_PAGES, signal);
       }
     });
   }
 
   function restart(): void {
-    controller.abort();
-    controller = new AbortController();
-    isReading.value = false;
+    stop();
     parts.value = [];
     void thenFollow(readBeginning());
   }
@@ -139,7 +115,6 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
 
   watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
   watch(clock.timeNs, follow);
-  onScopeDispose(() => controller.abort());
   const inOrder = computed(() => parts.value.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1)));
   return { parts: inOrder, unread, failure, isReading, readAll: () => void thenFollow(readAll()), again: restart };
 }

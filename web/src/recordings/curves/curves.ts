@@ -33,7 +33,7 @@ const STEPS_SAMPLED = 2_000;
 /** A silence this many times as long as usual is a gap. */
 const GAP_FACTOR = 5;
 
-/** Collects the points of `count` curves between two times, in seconds. Points come by ascending time. */
+/** Collects the points of `count` curves between two times, in seconds. Points come by ascending log time. */
 export class CurveCollector {
   private readonly seconds: number[] = [];
   private readonly points: (number | null)[][];
@@ -53,15 +53,15 @@ export class CurveCollector {
     this.slices = Array.from({ length: count }, () => new Map<number, Slice>());
   }
 
-  /** Add a message: one value a curve, null where it has none. */
-  add(seconds: number, values: readonly (number | null)[]): void {
+  /** Add a message: one value a curve, null where it has none. Slices are of log time, also where `seconds` are not. */
+  add(seconds: number, values: readonly (number | null)[], logSeconds = seconds): void {
     this.messages += 1;
     this.noteStep(seconds);
     if (this.messages <= MAX_POINTS) {
       this.seconds.push(seconds);
       this.points.forEach((points, curve) => points.push(values[curve] ?? null));
     }
-    const place = Math.floor(((seconds - this.from) / Math.max(this.to - this.from, 1e-9)) * SLICES);
+    const place = Math.floor(((logSeconds - this.from) / Math.max(this.to - this.from, 1e-9)) * SLICES);
     this.slices.forEach((slices, curve) => {
       const value = values[curve];
       if (value !== null && value !== undefined) noteExtreme(slices, place, { seconds, value });

@@ -44,6 +44,13 @@ export function rangeOf(curve: readonly (number | null | undefined)[]): [number,
   return greatest >= least ? [least, greatest] : null;
 }
 
+export type AxisSide = "left" | "right";
+
+/** Returns the label of an axis by the units of its curves, where they are known. */
+export function axisLabel(units: readonly (string | null)[]): string {
+  return [...new Set(units.filter((unit) => unit !== null))].join(", ");
+}
+
 /** Default fields of well-known types. */
 const FIRST: readonly (readonly [RegExp, readonly string[]])[] = [
   [/[/.]Imu$/, ["linear_acceleration.x", "linear_acceleration.y", "linear_acceleration.z"]],
