@@ -20,6 +20,9 @@ it("reads the fields of a topic that are asked for, and only their sections", as
   const reads: number[] = [];
   const preview = await PreviewFile.open(sourceOf(BYTES, reads));
   const afterIndex = reads.length;
+  expect(preview.fieldsOf("/imu")).toContain("angular.x");
+  expect(preview.fieldsOf("/other")).toEqual([]);
+  expect(reads.length).toBe(afterIndex);
   const series = await preview.series("/imu", ["angular.x", "covariance[0]", "other"]);
   expect(series?.messagesPerBin).toBe(10);
   expect([...(series?.firstNs ?? [])]).toEqual([0n, 1n, 2n, 3n].map((second) => START_NS + second * 1_000_000_000n));

@@ -107,6 +107,12 @@ export class PreviewFile {
     return lines.map(lineOf).flatMap(({ of, ...line }) => (of === topic ? [line] : []));
   }
 
+  /** Return the paths of the numeric fields of a topic; none where the preview has none of it. */
+  fieldsOf(topic: string): readonly string[] {
+    const entry = entries(this.index.series).find((series) => series.topic === topic);
+    return entry === undefined ? [] : entries(entry.fields).map(({ name }) => String(name));
+  }
+
   /** Return the topics of the cameras that have thumbnails. */
   get cameras(): readonly string[] {
     return entries(this.index.cameras).filter(({ thumbnails }) => entries(thumbnails).length > 0).map(({ topic }) => String(topic));

@@ -26,10 +26,12 @@ interface Made {
   readonly sizeBytes?: number;
   readonly preview?: Partial<PreviewFile>;
   readonly isWhole?: boolean;
+  /** Resolves before the reader tells the fields of the topic. */
+  readonly beforeFields?: Promise<void>;
 }
 
 /** A viewer of one file with a message in every step of time. */
-function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, preview, isWhole = true }: Made) {
+function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, preview, isWhole = true, beforeFields = Promise.resolve() }: Made) {
   const requests: { readonly fromNs: bigint; readonly toNs: bigint }[] = [];
   const note = (request: { fromNs: bigint; toNs: bigint }): void => {
     if (requests.push({ fromNs: request.fromNs, toNs: request.toNs }) > MOST_REQUESTS) throw new ReadFailure("too_large");
@@ -48,7 +50,10 @@ function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, p
     },
     request: async (kind: string, request: CurvesRequest) => {
       await Promise.resolve();
-      if (kind === "fields") return { fields: [{ path: "x", name: "x", isNumber: true, children: [] }] };
+      if (kind === "fields") {
+        await beforeFields;
+        return { fields: [{ path: "x", name: "x", isNumber: true, children: [] }] };
+      }
       note(request);
       const untilNs = request.fromNs + curvesNs < request.toNs ? request.fromNs + curvesNs : request.toNs;
       return { seconds: [], values: [[]], messages: 0, isWhole, damaged: [], wholeBytes: 2 ** 30, untilNs, unstamped: 0 };
@@ -128,6 +133,21 @@ const BINS = {
   readSpans: new BigInt64Array(),
 };
 const LARGE = { stepNs: 1_000_000n, curvesNs: 100n * SECOND, sizeBytes: 50e9 };
+
+it("draws the preview of a large recording before its fields are read", async () => {
+  let tellFields = (): void => undefined;
+  const beforeFields = new Promise<void>((resolve) => (tellFields = resolve));
+  const { using, requests } = viewerAt(300n * SECOND, { ...LARGE, beforeFields, preview: { series: () => Promise.resolve(BINS), fieldsOf: () => ["x"] } });
+  const { rough, curves, failure } = using(() => useCurves(() => series, () => 0, () => null));
+  await settled();
+  expect(failure.value).toBeNull();
+  expect(curves.value.map(({ column }) => column)).toEqual(["x"]);
+  expect(rough.value.length).toBeGreaterThan(0);
+  expect(requests).toEqual([]);
+  tellFields();
+  await settled();
+  expect(requests.length).toBeGreaterThan(0);
+});
 
 it("shows the preview of a large recording, and reads only what is around the play head and zoomed in", async () => {
   vi.useFakeTimers({ toFake: ["setTimeout", "clearTimeout"] });

@@ -51,6 +51,8 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   const previewed = shallowRef<readonly FileSeries[]>([]);
   const offered = shallowRef<readonly FieldNode[] | null>(null);
   const { failure, isReading, attempt, stop: stopReading } = useReading();
+  /** Whether the offered fields are those of a preview, which leaves some out. */
+  let isPreviewed = false;
   let zoomToRead: Span | null = null;
   let zoomTimer: ReturnType<typeof setTimeout> | undefined;
 
@@ -84,7 +86,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
 
   function readBeginning(): Promise<boolean> {
     return attempt(async (signal) => {
-      if (isLarge.value && (await showPreviews(signal))) return;
+      if (isLarge.value && (await showPreviews(signal))) return readFields(signal);
       let bytesLeft = PLOT_BYTES;
       for (const file of files.value) {
         const [part] = unreadParts(file, segments.value);
@@ -133,14 +135,32 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
     });
   }
 
-  /** Ends what is read, and reads the offered fields, from which the drawn ones follow. */
+  /** Ends what is read, and learns the fields, from which the drawn ones follow: those of a preview are there first. */
   function restart(): void {
     stop();
-    offered.value = null;
+    [offered.value, isPreviewed] = [null, false];
     void attempt(async (signal) => {
-      const { fields: tree } = await sources.fields(series(), { signal, priority: priority() + AFTER_MESSAGES });
-      if (!signal.aborted) offered.value = tree;
+      const names = isLarge.value ? await previewedFields(signal) : [];
+      if (names.length === 0) return readFields(signal);
+      [offered.value, isPreviewed] = [names.map((path) => ({ label: path, path, children: [], hidden: 0 })), true];
     });
+  }
+
+  /** Reads the fields that the topic offers, unless they were read. */
+  async function readFields(signal: AbortSignal): Promise<void> {
+    if (offered.value !== null && !isPreviewed) return;
+    const { fields: tree } = await sources.fields(series(), { signal, priority: priority() + AFTER_MESSAGES });
+    if (!signal.aborted) [offered.value, isPreviewed] = [tree, false];
+  }
+
+  /** Returns the fields of the first preview that has the topic. */
+  async function previewedFields(signal: AbortSignal): Promise<readonly string[]> {
+    for (const file of files.value) {
+      const names = await previews.of(file.id).then((preview) => preview?.fieldsOf(series().topic) ?? []).catch(() => []);
+      if (signal.aborted) throw new ReadFailure("cancelled");
+      if (names.length > 0) return names;
+    }
+    return [];
   }
 
   function stop(): void {
