@@ -135,8 +135,8 @@ const BINS = {
 const LARGE = { stepNs: 1_000_000n, curvesNs: 100n * SECOND, sizeBytes: 50e9 };
 
 it("draws the preview of a large recording before its fields are read", async () => {
-  let tellFields = (): void => undefined;
-  const beforeFields = new Promise<void>((resolve) => (tellFields = resolve));
+  let giveFields = (): void => undefined;
+  const beforeFields = new Promise<void>((resolve) => (giveFields = resolve));
   const { using, requests } = viewerAt(300n * SECOND, { ...LARGE, beforeFields, preview: { series: () => Promise.resolve(BINS), fieldsOf: () => ["x"] } });
   const { rough, curves, failure } = using(() => useCurves(() => series, () => 0, () => null));
   await settled();
@@ -144,7 +144,7 @@ it("draws the preview of a large recording before its fields are read", async ()
   expect(curves.value.map(({ column }) => column)).toEqual(["x"]);
   expect(rough.value.length).toBeGreaterThan(0);
   expect(requests).toEqual([]);
-  tellFields();
+  giveFields();
   await settled();
   expect(requests.length).toBeGreaterThan(0);
 });
