@@ -27,6 +27,7 @@ from kleinkram.server.filters.plan import (
     prepare_statement,
     visible_ids,
 )
+from kleinkram.server.missions import positions
 from kleinkram.server.missions import queries as missions
 from kleinkram.server.pagination import PagedQuery
 from kleinkram.server.search import facets, planner, service
@@ -158,6 +159,7 @@ _SHAPES = (
     Shape(files.count_all, _no_filter, with_plans=False),
     Shape(files.first_missions, _project_filter, {"is_first": False, "descending": True, "limit": 4}, with_plans=False),
     *(Shape(missions.mission_listing, _mission_filters, {"sort": sort}) for sort in (MissionSort.start, "meta.robot")),
+    Shape(positions._latest_positions, _mission_filters),
     Shape(visible_ids, _no_filter, {"limit": 33}, with_plans=False),
     Shape(planner._sampled, _two_file_filters),
     Shape(planner._one_match, _one_file_filter),

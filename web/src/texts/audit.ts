@@ -163,6 +163,7 @@ const reads: Readonly<Record<string, string>> = {
   list_mission_previews: "the previews of a mission",
   list_mission_topics: "the topics of a mission",
   list_missions: "the missions of every project",
+  list_mission_positions: "a map of the missions of every project",
   list_people: "the list of people",
   list_project_grants: "the rights on a project",
   list_projects: "the list of projects",
