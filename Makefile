@@ -91,7 +91,7 @@ bench: setup
 pictures: setup
 	@$(BIN)/python -m pytest -q tests/system/web/test_every_page_pictures.py
 	@mkdir -p docs/pictures
-	@for name in mission search preview checks matrix; do cp output/web/readme-$$name.png docs/pictures/$$name.png; done
+	@for name in mission search preview checks matrix viewer; do cp output/web/readme-$$name.png docs/pictures/$$name.png; done
 
 dev: setup
 	@$(BIN)/klein up --data-dir .demo/dev

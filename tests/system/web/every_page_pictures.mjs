@@ -1,10 +1,13 @@
-// Takes the screenshots of the README and the tour: a mission, a search, the preview of a recording, checks.
+// Takes the screenshots of the README and the tour: a mission, a search, the preview of a recording, checks,
+// and the viewer of a mission.
 // Prints an empty object. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's address,
 // the folder for screenshots, the ids of a mission, of a recording and of a project, a search query.
 import { launchBrowser } from "./chromium.mjs";
 
 const [web, executablePath, link, address, pictures, mission, recording, project, query] = process.argv.slice(2);
 const TIMEOUT_MS = 60_000;
+/** Until all panels have drawn what they read. */
+const SETTLED_MS = 3_000;
 
 const browser = await launchBrowser(web, executablePath);
 const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, reducedMotion: "reduce", colorScheme: "light" });
@@ -31,6 +34,15 @@ await takeScreenshot("matrix", `/projects/${project}?tab=checks`, "[data-matrix]
   await page.getByRole("gridcell", { name: "topic.gap: Error" }).focus();
   await page.locator("[data-explained]").getByText("longest gap").waitFor();
   await page.locator("[data-explained]").scrollIntoViewIfNeeded();
+});
+await takeScreenshot("viewer", `/missions/${mission}/view`, "[data-panel] [data-log-time]", async () => {
+  await page.locator("[data-transport] input[type=range]").evaluate((scrubber) => {
+    scrubber.value = String(Number(scrubber.max) * 0.4);
+    scrubber.dispatchEvent(new Event("input", { bubbles: true }));
+  });
+  await page.locator("[data-plot][data-messages]").first().waitFor();
+  await page.locator("[data-scene]:not([data-items='0'])").first().waitFor();
+  await page.waitForTimeout(SETTLED_MS);
 });
 await browser.close();
 process.stdout.write("{}");

@@ -74,7 +74,7 @@ def test_screenshots_of_the_readme_are_taken(
     (project,) = terminal.run("project", "list", "--json").json()["items"]
     ids = (missions["ridge-traverse"], files()["drive.mcap"], project["id"])
     run_browser("every_page_pictures.mjs", cluster, pictures, *ids, _QUERY)
-    for name in ("mission", "search", "preview", "checks", "matrix"):
+    for name in ("mission", "search", "preview", "checks", "matrix", "viewer"):
         picture = pictures / f"readme-{name}.png"
         assert 10_000 < picture.stat().st_size < _MAX_BYTES, name
 
