@@ -37,7 +37,7 @@ WRITES: dict[str, set[str]] = {
     "delete_check_note": {"mission.delete_check_note"},
     "download_files": {"file.download", "[file.preview]"},
     "verify_file": {"file.verify"},
-    "get_file_thumbnails": {"[project.preview]"},
+    "get_file_thumbnails": {"[mission.preview]"},
     "make_recording_preview": {"[file.make_preview]"},
     "delete_recording_preview": {"file.delete_preview"},
     "update_file": {"[file.update]"},

@@ -134,8 +134,8 @@ def test_lists_of_files_show_a_picture_of_a_camera_and_those_of_a_link_only_of_i
     assert base64.b64decode(thumbnails[shared])[:3] == b"\xff\xd8\xff"
     own = [one for one in statements if "recording_preview" in one or "audit_event" in one]
     assert len(own) == 2, "one statement for all pictures, and one for the audit log"
-    (event,) = [event for event in api.events(project_id) if event["operation"] == "project.preview"]
-    assert event["after"] == {"files": 2}
+    (event,) = [event for event in api.events(mission_id) if event["operation"] == "mission.preview"]
+    assert (event["after"], event["as_admin"]) == ({"files": 2}, False)
     guest = api.as_(people.share(api, mission_id, file_ids=[shared]).secret)
     assert [item["file_id"] for item in guest.post("/files/thumbnails", ids).ok()["items"]] == [shared]
     assert api.as_(people.person(api).token).post("/files/thumbnails", ids).ok()["items"] == []

@@ -53,6 +53,7 @@ const operations: Readonly<Record<string, string>> = {
   "mission.delete": "deleted",
   "mission.delete_check_note": "deleted a note on a check of",
   "mission.move_out": "moved out",
+  "mission.preview": "viewed pictures of files of",
   "mission.purge": "permanently deleted",
   "mission.report_checks": "reported checks of",
   "mission.restore": "restored",

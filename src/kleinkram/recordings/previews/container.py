@@ -6,6 +6,7 @@ Bytes of a preview come from a process that parsed an untrusted recording, so `r
 from __future__ import annotations
 
 import json
+import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -36,6 +37,8 @@ MAGIC = b"KLPREV1\n"
 PREVIEW_VERSION = 1
 """Of what previews contain; a server makes those of an earlier version again."""
 
+# Types whose positions are degrees, and where the receiver was.
+_FIX = re.compile(r"(NavSatFix|GPSFix|LocationFix)$")
 _HEAD = struct.Struct("<8sII")  # magic, stored and unpacked bytes of the index
 _LEVEL = 1  # numbers of sensors hardly shrink further
 _MAX_INDEX_BYTES = 16 * 2**20
@@ -213,13 +216,16 @@ def representative_thumbnail(data: bytes) -> Thumbnail | None:
 
 
 def first_position(data: bytes) -> GeoPosition | None:
-    """Return the earliest usable position of the GNSS tracks; None without any.
+    """Return the earliest usable position of the topics of known types; None without any.
 
     Raises:
         PreviewUnreadable: it is no such file, of another version, or damaged.
     """
     with _named_damage():
-        tracks = [track for track in _Parser(data).tracks() if track.kind is TrackKind.gnss]
+        parser = _Parser(data)
+        # Other messages with a latitude may be in radians, or goals.
+        fixes = {topic for topic, message_type in parser.types().items() if _FIX.search(message_type)}
+        tracks = [track for track in parser.tracks() if track.kind is TrackKind.gnss and track.topic in fixes]
     earliest: tuple[int, GeoPosition] | None = None
     for track in tracks:
         for time_ns, (latitude, longitude, _) in zip(track.times_ns, track.positions, strict=True):
@@ -276,6 +282,10 @@ class _Parser:
     def cameras(self) -> tuple[CameraStrip, ...]:
         """Return the thumbnails of all cameras."""
         return tuple(self._camera(entry) for entry in self._index["cameras"])
+
+    def types(self) -> dict[str, str]:
+        """Return the message types of the topics with numeric fields."""
+        return {str(entry["topic"]): str(entry["type"]) for entry in self._index["series"]}
 
     def tracks(self) -> tuple[PositionTrack, ...]:
         """Return the positions of all topics."""

@@ -17,7 +17,7 @@ from kleinkram.recordings.isolation import PreviewAnswer
 from kleinkram.server.blobs import garbage_collection, queries, service
 from kleinkram.server.db import Connection, fit_text
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job, start_now, with_waiting_job
-from kleinkram.server.tables import blob, file, recording_preview
+from kleinkram.server.tables import blob, file, recording_preview, topic
 
 VERSION = 1
 """Of the contents of previews, `recordings.previews.PREVIEW_VERSION`; those of an earlier one are made again."""
@@ -31,7 +31,9 @@ _COUNT_WAITING = text(
 
 
 # What is stored of a preview for lists and maps; it ends with the preview.
-_NO_EXTRACTS: dict[str, object] = {"thumbnail": None, "latitude": None, "longitude": None}
+_FOR_LISTS: dict[str, object] = {"thumbnail": None, "is_position_known": False, "latitude": None, "longitude": None}
+# Types of topics that may have a position, as in `recordings.previews`.
+_POSITION_TYPES = r"(NavSatFix|GPSFix|LocationFix)$"
 
 
 class RecordingPreviewRow(NamedTuple):
@@ -76,7 +78,10 @@ def _is_due() -> ColumnElement[bool]:
     failed = recording_preview.c.state == RecordingPreviewState.failed.value
     a_day_ago = recording_preview.c.made_at < func.now() - text("interval '1 day'")
     may_succeed = failed & (recording_preview.c.temporary_failures == 1) & a_day_ago
-    is_done = (recording_preview.c.version >= VERSION) & made & ~may_succeed
+    is_ready = recording_preview.c.state == RecordingPreviewState.ready.value
+    may_have_position = exists().where(topic.c.blob_id == blob.c.id, topic.c.message_type.regexp_match(_POSITION_TYPES))
+    lacks_position = is_ready & ~recording_preview.c.is_position_known & may_have_position
+    is_done = (recording_preview.c.version >= VERSION) & made & ~may_succeed & ~lacks_position
     is_deleted = recording_preview.c.state == RecordingPreviewState.deleted.value
     has_preview = exists().where(recording_preview.c.blob_id == blob.c.id, or_(is_done, is_deleted))
     return (
@@ -120,7 +125,7 @@ async def find_preview(db: Connection, blob_id: uuid.UUID) -> RecordingPreviewRo
 async def record_begin(db: Connection, blob_id: uuid.UUID, *, key: str) -> bool:
     """Record that the preview of a blob is being made, and the key of its object; False if it was deleted."""
     values = {"state": RecordingPreviewState.making.value, "key": key, "version": VERSION}
-    values |= {"size_bytes": None, **_NO_EXTRACTS}
+    values |= {"size_bytes": None, **_FOR_LISTS}
     is_alive = recording_preview.c.state != RecordingPreviewState.deleted.value
     return await _write(db, blob_id, values, where=is_alive)
 
@@ -133,6 +138,7 @@ async def record_ready(db: Connection, blob_id: uuid.UUID, *, key: str, preview:
     """
     values = {"state": RecordingPreviewState.ready.value, "size_bytes": len(preview.data)}
     values |= {"thumbnail": preview.thumbnail, "reason": None, "temporary_failures": 0}
+    values |= {"is_position_known": True}
     if preview.position is not None:
         values |= {"latitude": preview.position.latitude, "longitude": preview.position.longitude}
     is_recorded = await _end(db, blob_id, key, values)
@@ -158,7 +164,7 @@ async def _end(db: Connection, blob_id: uuid.UUID, key: str, values: dict[str, o
 async def mark_deleted(db: Connection, blob_id: uuid.UUID) -> None:
     """Mark a preview as deleted: it is not made again by itself, and garbage collection deletes its object."""
     values = {"state": RecordingPreviewState.deleted.value, "version": VERSION, "size_bytes": None, "reason": None}
-    await _write(db, blob_id, values | _NO_EXTRACTS)
+    await _write(db, blob_id, values | _FOR_LISTS)
     await service.publish_file_changes(db, [blob_id])
 
 

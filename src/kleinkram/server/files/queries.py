@@ -290,9 +290,9 @@ def _in_mission(mission_id: uuid.UUID, except_id: uuid.UUID | None) -> Select[An
 
 
 def thumbnails_of(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
-    """Return the thumbnails of those of some files that are visible and have one, with the projects of the files."""
-    of_project = (project.c.id.label("project_id"), project.c.name.label("project_name"))
-    columns = (file.c.id, recording_preview.c.thumbnail, *of_project)
+    """Return the thumbnails of those of some files that are visible and have one, with the missions of the files."""
+    of_mission = (mission.c.id.label("mission_id"), mission.c.name.label("mission_name"), mission.c.project_id)
+    columns = (file.c.id, recording_preview.c.thumbnail, *of_mission)
     stmt = visible_files(actor).with_only_columns(*columns, maintain_column_froms=True)
     stmt = stmt.join(recording_preview, recording_preview.c.blob_id == file.c.blob_id)
     return stmt.where(among(file.c.id, file_ids), recording_preview.c.thumbnail.is_not(None))

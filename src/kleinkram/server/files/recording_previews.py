@@ -49,16 +49,18 @@ async def get_preview(context: AppContext, actor: Actor, *, file_id: uuid.UUID) 
 
 
 async def get_thumbnails(db: Connection, actor: Actor, *, file_ids: Sequence[uuid.UUID]) -> FileThumbnails:
-    """Return the thumbnails of visible files that have one, and record for each project that they were viewed.
+    """Return the thumbnails of visible files that have one, and record for each mission that they were viewed.
 
     Two statements for any number of files.
     """
     rows = (await db.execute(thumbnails_of(actor, file_ids))).all()
-    names = {row.project_id: row.project_name for row in rows}
-    counts = Counter(row.project_id for row in rows)
+    missions = dict.fromkeys((row.mission_id, row.mission_name, row.project_id) for row in rows)
+    counts = Counter(row.mission_id for row in rows)
     events = [
-        Event("project.preview", "project", project_id, names[project_id], project_id, after={"files": count})
-        for project_id, count in counts.items()
+        Event(
+            "mission.preview", "mission", *of_mission, after={"files": counts[of_mission[0]]}, mission_id=of_mission[0]
+        )
+        for of_mission in missions
     ]
     await audit(db, actor, *events)
     items = [FileThumbnail(file_id=row.id, jpeg=base64.b64encode(row.thumbnail).decode()) for row in rows]

@@ -42,6 +42,7 @@ INSERT INTO rate_count (key, window_start, count)
 _OPERATION_KINDS = {
     "search": "searches",
     "get_facets": "searches",
+    "list_mission_positions": "searches",
     "get_stats": "searches",
     "get_project_stats": "searches",
     "get_overview": "searches",
@@ -51,6 +52,7 @@ _OPERATION_KINDS = {
     "download_files": "downloads",
     "slice_file": "downloads",
     "get_recording_preview": "downloads",
+    "get_file_thumbnails": "downloads",
     "begin_uploads": "uploads",
     "verify_file": "verifications",
     "make_recording_preview": "verifications",

@@ -32,6 +32,7 @@ from kleinkram.contract.mission_positions import (
     PositionSource,
 )
 from kleinkram.contract.missions import MissionFilter, MissionSort
+from kleinkram.contract.recording_previews import RecordingPreviewState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, visible_missions
 from kleinkram.server.db import Connection
@@ -87,10 +88,11 @@ def _latest_positions(
         *(mission.c.metadata, project.c.metadata_fields),
     )
     order = mission_order(actor, _LATEST)
-    latest = matched.with_only_columns(*columns, maintain_column_froms=True)
+    keys = [column.label(f"key_{number}") for number, column in enumerate(order.columns)]
+    latest = matched.with_only_columns(*columns, *keys, maintain_column_froms=True)
     listed = in_order(latest, order.columns, order).limit(MAX_PLACED_MISSIONS + 1).subquery("latest")
     recorded, declared = _recorded_position(actor, listed), _declared_position(actor, listed)
-    return (
+    placed = (
         select(
             *(listed.c.id, listed.c.name, listed.c.project_id, listed.c.project_name),
             recorded.c.latitude.is_not(None).label("is_recorded"),
@@ -101,6 +103,7 @@ def _latest_positions(
         .outerjoin(recorded, true())
         .outerjoin(declared, true())
     )
+    return in_order(placed, (listed.c[key.name] for key in keys), order)
 
 
 def _recorded_position(actor: Actor, listed: Subquery) -> LateralFromClause:
@@ -112,6 +115,7 @@ def _recorded_position(actor: Actor, listed: Subquery) -> LateralFromClause:
         file.c.deleted_at.is_(None),
         file.c.origin != DERIVED_ORIGIN,
         shown_files(actor),
+        recording_preview.c.state == RecordingPreviewState.ready.value,
         recording_preview.c.latitude.is_not(None),
     )
     return stmt.order_by(file.c.start_ns.asc().nulls_last(), file.c.id).limit(1).lateral("recorded")

@@ -124,6 +124,8 @@ recording_preview = sa.Table(
     sa.Column("size_bytes", sa.BigInteger),
     # A small JPEG for lists, if a camera was recorded.
     sa.Column("thumbnail", sa.LargeBinary),
+    # Whether it was searched for a position: earlier previews were not.
+    sa.Column("is_position_known", sa.Boolean, nullable=False, server_default=sa.false()),
     # The first position that the recording has, in degrees (WGS 84); null without any.
     sa.Column("latitude", sa.Double),
     sa.Column("longitude", sa.Double),

@@ -129,9 +129,14 @@ def test_the_first_position_is_the_earliest_usable_one_of_the_fixes() -> None:
     pose = track("/odometry", TrackKind.pose, 0, (1.0, 2.0))
     late = track("/late", TrackKind.gnss, 100, (47.2, 8.2))
     noisy = track("/noisy", TrackKind.gnss, 50, (0.0, 0.0), (np.nan, 8.0), (91.0, 8.0), (47.1, 8.1), (47.3, 8.3))
-    preview = _preview()
-    assert first_position(encode(replace(preview, tracks=(pose, late, noisy)))) == GeoPosition(47.1, 8.1)
-    assert first_position(encode(replace(preview, tracks=(pose,)))) is None
+    radians = track("/radians", TrackKind.gnss, 0, (0.83, 0.15))
+    made = _preview()
+    types = {"/late": "gps_msgs/msg/GPSFix", "/noisy": "sensor_msgs/NavSatFix", "/radians": "driver_msgs/PVTGeodetic"}
+    series = [replace(made.series[0], topic=topic, message_type=name) for topic, name in types.items()]
+    preview = replace(made, series=(*made.series, *series))
+    tracks = (pose, radians, late, noisy)
+    assert first_position(encode(replace(preview, tracks=tracks))) == GeoPosition(47.1, 8.1)
+    assert first_position(encode(replace(preview, tracks=(pose, radians)))) is None
     assert first_position(encode(replace(preview, tracks=()))) is None
     with pytest.raises(PreviewUnreadable):
         first_position(encode(preview)[:200])

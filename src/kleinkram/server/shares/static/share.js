@@ -54,7 +54,7 @@ async function showMore(cursor) {
   const query = new URLSearchParams({ limit: PAGE_SIZE, ...(cursor ? { cursor } : {}) });
   const page = await request("GET", `/files?${query}`);
   document.getElementById("files").append(...page.items.map(row));
-  showThumbnails(page.items).catch((error) => showMessage(error.message));
+  showThumbnails(page.items).catch(() => undefined); // the list is complete without pictures
   const more = document.getElementById("more");
   more.hidden = page.next === null;
   more.onclick = () => showMore(page.next).catch((error) => showMessage(error.message));
@@ -69,6 +69,7 @@ async function showThumbnails(files) {
     const bytes = Uint8Array.from(atob(jpeg), (letter) => letter.charCodeAt(0));
     const picture = document.createElement("img");
     picture.src = URL.createObjectURL(new Blob([bytes], { type: "image/jpeg" }));
+    picture.onload = () => URL.revokeObjectURL(picture.src);
     picture.alt = "Picture of a camera";
     document.querySelector(`[data-file="${CSS.escape(id)}"] td`)?.prepend(picture);
   }
