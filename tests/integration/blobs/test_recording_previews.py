@@ -156,6 +156,14 @@ def test_maps_have_the_first_fix_of_a_recording_until_its_preview_is_deleted(api
     query = {"project_id": project_id}
     assert api.get("/mission-positions", query).ok()["items"] == []
     run_jobs(api)
+    # As a worker of an earlier version leaves it.
+    api.sql(
+        "UPDATE recording_preview p SET is_position_known = false, latitude = NULL, longitude = NULL"
+        " FROM file f WHERE f.blob_id = p.blob_id AND f.id = %s",
+        file["id"],
+    )
+    on_site(api, collect_garbage)
+    assert run_jobs(api).count(_JOB) == 1
     (shown,) = api.get("/mission-positions", query).ok()["items"]
     with Recording.open(tmp_path / "drive.mcap") as recording:
         fixes = [message.value for message in recording.messages("/gps/fix")]

@@ -30,6 +30,20 @@ it("covers no more than what was read where the limit was reached", () => {
   expect(segmentOf("f", file.span, { ...curves, untilNs: 100n }, 2)).toMatchObject({ toNs: 100n, isCut: false });
 });
 
+it("keeps the value of a message where another one at the same time has none", () => {
+  const segments = [segment(0n, 20n, { seconds: [0, 0, 1, 1], values: [[null, null, 5, null]] })];
+  expect(aligned([{ curves: 1, segments }]).values).toEqual([[null, 5]]);
+});
+
+it("counts what remains of a segment whose beginning is read again", () => {
+  const whole = segment(0n, 100n, { isWhole: false, messages: 50, unstamped: 5, wholeBytes: 900, isCut: true });
+  const segments = withDetail([whole], segment(0n, 20n, { messages: 10, unstamped: 2 }), Number);
+  expect(segments.map(({ fromNs, messages, unstamped, wholeBytes, isCut }) => [fromNs, messages, unstamped, wholeBytes, isCut])).toEqual([
+    [21n, 40, 3, 900, true],
+    [0n, 10, 2, 0, false],
+  ]);
+});
+
 it("puts curves of several topics side by side, and breaks one between segments that are apart", () => {
   const fast = [segment(60n, 80n, { seconds: [6, 7], values: [[60, 70]] }), segment(0n, 20n, { seconds: [0, 1], values: [[0, 10]] })];
   const slow = [segment(0n, 100n, { seconds: [0, 6.5], values: [[1, 2], [null, 4]] })];

@@ -106,13 +106,18 @@ export function partsToDetail(fileId: string, segments: readonly Segment[], span
 
 /** Returns segments with one that was read again in their place: what they have in its time is left out. */
 export function withDetail(segments: readonly Segment[], detail: Segment, secondsOf: (timeNs: bigint) => number): Segment[] {
-  const [from, to] = [secondsOf(detail.fromNs), secondsOf(detail.toNs)];
+  // Stamps of headers lie elsewhere than the log times of their messages.
+  const [from, to] = [detail.seconds[0] ?? secondsOf(detail.fromNs), detail.seconds.at(-1) ?? secondsOf(detail.toNs)];
   const others = segments.flatMap((segment) => {
     const [overlap] = partsWithin([segment], detail);
     if (segment.fileId !== detail.fileId || overlap === undefined) return [segment];
-    const before = segmentWithin({ ...segment, toNs: detail.fromNs - 1n, messages: segment.messages - detail.messages }, (second) => second < from);
-    const after = segmentWithin({ ...segment, fromNs: detail.toNs + 1n, messages: 0, unstamped: 0, wholeBytes: 0, isCut: false }, (second) => second > to);
-    return [before, after].filter(({ fromNs, toNs }) => fromNs <= toNs);
+    const before = segmentWithin({ ...segment, toNs: detail.fromNs - 1n }, (second) => second < from);
+    const after = segmentWithin({ ...segment, fromNs: detail.toNs + 1n }, (second) => second > to);
+    const remaining = [before, after].filter(({ fromNs, toNs }) => fromNs <= toNs);
+    // What both parts have together is counted in the first.
+    const counts = { messages: segment.messages - detail.messages, unstamped: segment.unstamped - detail.unstamped };
+    const none = { messages: 0, unstamped: 0, wholeBytes: 0, isCut: false };
+    return remaining.map((part, place) => ({ ...part, ...(place === 0 ? counts : none) }));
   });
   return [...others, detail];
 }
@@ -135,7 +140,8 @@ export function aligned(topics: readonly { readonly curves: number; readonly seg
   const put = (second: number, curve: number, value: number | null | undefined): void => {
     const row = points.get(second) ?? Array.from<undefined>({ length: total });
     points.set(second, row);
-    if (value !== undefined) row[curve] = value;
+    // Of two messages at one time, the second has no derivative: the first one's stays.
+    if (value !== undefined && (value !== null || row[curve] === undefined)) row[curve] = value;
   };
   let first = 0;
   for (const { curves, segments } of topics) {

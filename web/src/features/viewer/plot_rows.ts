@@ -2,6 +2,7 @@
 import { aligned, valueAt, type Aligned, type Segment, type SeriesState } from "./curves";
 import type { Series } from "./layout";
 import { curveOf, isDerived, type OtherField } from "./plot_curves";
+import { MAX_CURVES } from "@/recordings/limits";
 
 /** A topic of a plot. `first`: the place of its first curve among those of the plot. */
 export interface PlotRow {
@@ -31,7 +32,7 @@ export function plotRows(series: readonly Series[], states: ReadonlyMap<string, 
 /** Returns the fields of a topic that curves of other topics subtract. */
 export function operandsOf(series: readonly Series[], source: Source): string[] {
   const others = series.flatMap(({ fields }) => fields.flatMap((field): OtherField | [] => curveOf(field).minus ?? []));
-  return [...new Set(others.filter((other) => sourceKey(other) === sourceKey(source)).map(({ field }) => field))];
+  return [...new Set(others.filter((other) => sourceKey(other) === sourceKey(source)).map(({ field }) => field))].slice(0, MAX_CURVES);
 }
 
 /** Returns all curves of a plot with one list of times. `secondsOf` returns the place of a log time on the axis. */

@@ -21,19 +21,21 @@ export interface CompressedDepth {
 const SETTINGS_BYTES = 12;
 const [A_AT, B_AT] = [4, 8];
 const SIZE_BYTES = 8;
+/** Characters of a format that are looked at. */
+const MAX_FORMAT = 200;
 /** Of a number of 32 bits; more occur in damaged data only. */
 const MAX_GROUPS = 11;
 
 /** Return what the transport wrote; null for pictures of other transports. @throws ReadFailure picture_unreadable. */
 export function compressedDepthOf(format: string, data: Uint8Array): CompressedDepth | null {
-  const match = /^\s*([^;]*?)\s*;\s*compressedDepth\s*(\w*)/.exec(format);
+  const match = /^([^;]*);\s*compressedDepth\s*(\w*)/.exec(format.slice(0, MAX_FORMAT));
   if (match === null) return null;
   const [, encoding = "", codec = ""] = match;
   if (data.length < SETTINGS_BYTES) throw new ReadFailure("picture_unreadable", `${data.length} bytes`);
   if (codec !== "" && codec !== "png" && codec !== "rvl") throw new ReadFailure("pixels_unknown", format.slice(0, 60));
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   const quantisation = [view.getFloat32(A_AT, true), view.getFloat32(B_AT, true)] as const;
-  return { encoding: encoding.slice(0, 60), codec: codec === "rvl" ? "rvl" : "png", quantisation, data: data.subarray(SETTINGS_BYTES) };
+  return { encoding: encoding.trim().slice(0, 60), codec: codec === "rvl" ? "rvl" : "png", quantisation, data: data.subarray(SETTINGS_BYTES) };
 }
 
 /** Return depth from its stored numbers. */

@@ -49,7 +49,12 @@ export function isLocationType(messageType: string | null): boolean {
 export function locationOf(message: Value): Location {
   const text = part(message, "geojson");
   if (typeof text === "string") return { position: null, shapes: shapesOf(text) };
-  return { position: hasFix(message) ? positionIn(message) : null, shapes: [] };
+  return { position: pointOf(message), shapes: [] };
+}
+
+/** Return the position of a message; null for one without a fix, and for GeoJSON. */
+export function pointOf(message: Value): Position | null {
+  return hasFix(message) ? positionIn(message) : null;
 }
 
 /** A receiver that has no fix says so by a negative status. */

@@ -6,7 +6,7 @@ import { annotationsOf, type Annotations } from "../pictures/annotations";
 import { drawnPicture, type DrawnPicture } from "./drawn_picture";
 import { sceneBuffers, sceneMessage, type SceneMessage } from "../geometry/scene_message";
 import { fieldTypes, type FieldTypes } from "./field_types";
-import { locationOf, type Location } from "./location";
+import { locationOf, pointOf, type Location } from "./location";
 import { transformsOf, type Transform } from "../geometry/transforms";
 import { plainValue, type PlainValue } from "./plain_value";
 import { statesOf, type States } from "./states";
@@ -19,6 +19,8 @@ export interface Products {
   /** Of the definition: the same for all messages of a topic. */
   fieldTypes: FieldTypes | null;
   location: Location;
+  /** A location without its shapes. */
+  position: Location;
   picture: DrawnPicture;
   plain: PlainValue;
   /** What is shown in space. */
@@ -38,6 +40,7 @@ export const makers: { readonly [P in ProductName]: Make<P> } = {
   annotations: ({ channel }, decode) => annotationsOf(channel.schema.name, decode()),
   fieldTypes: ({ channel }) => fieldTypes(channel.schema),
   location: (_, decode) => locationOf(decode()),
+  position: (_, decode) => ({ position: pointOf(decode()), shapes: [] }),
   picture: (_, decode) => drawnPicture(decode()),
   plain: (_, decode) => plainValue(decode()),
   scene: ({ channel }, decode) => sceneMessage(channel.schema.name, decode()),

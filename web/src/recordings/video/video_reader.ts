@@ -49,11 +49,11 @@ export class VideoReader {
    */
   async picture(message: Message, signal?: AbortSignal): Promise<DrawnPicture> {
     this.signal = signal;
-    clearTimeout(this.running.get(message.channel.topic)?.closing);
     const { channel: { topic }, logTimeNs } = message;
-    const value = this.decode(message);
-    const format = formatOf(value);
+    clearTimeout(this.running.get(topic)?.closing);
     try {
+      const value = this.decode(message);
+      const format = formatOf(value);
       const image = (await this.continued(topic, format, logTimeNs)) ?? (await this.fromKeyFrame(topic, format, logTimeNs));
       return { image, width: image.width, height: image.height, encoding: format, stampSeconds: stampOf(value) };
     } catch (thrown) {
@@ -62,7 +62,7 @@ export class VideoReader {
     }
   }
 
-  /** Decode the frames behind those that are decoded; null where the decoder cannot go on, or a key frame is among them. */
+  /** Decode the frames behind those that are decoded; null where the decoder cannot go on, or the codec changes. */
   private async continued(topic: string, format: VideoFormat, timeNs: bigint): Promise<ImageBitmap | null> {
     const running = this.running.get(topic);
     if (running === undefined || running.decoder.isAtEnd || timeNs <= running.untilNs || timeNs - running.untilNs > FORWARD_NS) return null;
@@ -103,14 +103,14 @@ export class VideoReader {
   private async *frames(topic: string, format: VideoFormat, span: Span, order: Order): AsyncIterable<Frame> {
     const { source } = this.recording;
     const startBytes = source.bytesRead;
-    let count = 0;
+    let [count, bytes] = [0, 0];
     const onDamage = ({ failure }: { failure: ReadFailure }): void => {
       throw failure;
     };
     for await (const message of this.recording.messages([topic], span, order, onDamage)) {
-      count += 1;
-      if (count > MAX_VIDEO_FRAMES || source.bytesRead - startBytes > MAX_VIDEO_BYTES) throw new ReadFailure("video_no_key_frame");
       const data = bytesOf(part(this.decode(message), "data"));
+      [count, bytes] = [count + 1, bytes + (data?.length ?? 0)]; // frames of a compressed chunk can be larger than what is read
+      if (count > MAX_VIDEO_FRAMES || Math.max(bytes, source.bytesRead - startBytes) > MAX_VIDEO_BYTES) throw new ReadFailure("video_no_key_frame");
       if (data === null || data.length === 0) throw new ReadFailure("picture_unreadable", "0 bytes");
       yield { timeNs: message.logTimeNs, data: data.slice(), codec: keyFrameCodec(format, data) };
       this.check();

@@ -30,7 +30,11 @@ const prepared: Worker[] = [];
 export function prepareReaders(count: number): void {
   while (prepared.length < count) {
     const worker = createWorker();
-    worker.onerror = () => prepared.splice(prepared.indexOf(worker), 1); // the reader that starts another one reports it
+    worker.onerror = () => {
+      worker.terminate();
+      const place = prepared.indexOf(worker);
+      if (place >= 0) prepared.splice(place, 1); // the reader that starts another one reports it
+    };
     prepared.push(worker);
   }
 }

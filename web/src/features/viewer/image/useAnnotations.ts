@@ -14,6 +14,8 @@ export interface AnnotatedPicture {
 
 export interface ShownAnnotations extends Annotations {
   readonly logTimeNs: bigint;
+  /** The log time of the picture that they belong to. */
+  readonly ofNs: bigint;
 }
 
 export interface AnnotationsRead {
@@ -30,8 +32,14 @@ interface Target extends AnnotatedPicture {
 const LATER_NS = 1_000_000_000n;
 const LATER_MESSAGES = 50;
 const LATER_BYTES = 2 * 2 ** 20;
+/** Pictures that are further apart do not show the same. */
+const FAR_NS = 1_000_000_000n;
 /** Stamps that are doubles of seconds differ by less. */
 const SAME_SECONDS = 1e-6;
+
+function isFar(oneNs: bigint, otherNs: bigint): boolean {
+  return oneNs - otherNs > FAR_NS || otherNs - oneNs > FAR_NS;
+}
 
 /** Follows the topic of the annotations and the picture. */
 export function useAnnotations(series: () => Series | null, picture: () => AnnotatedPicture | null, priority: () => number): AnnotationsRead {
@@ -47,7 +55,7 @@ export function useAnnotations(series: () => Series | null, picture: () => Annot
       const request = { product: "annotations", fromNs: logTimeNs, toNs, maxMessages: LATER_MESSAGES, maxBytes: LATER_BYTES } as const;
       const answer = await sources.messages(file, source, request, { signal, priority: priority() });
       const match = answer?.messages.find(({ product }) => Math.abs((product?.stampSeconds ?? Number.NaN) - stampSeconds) < SAME_SECONDS);
-      if (match?.product) return { ...match.product, logTimeNs: match.logTimeNs };
+      if (match?.product) return { ...match.product, logTimeNs: match.logTimeNs, ofNs: logTimeNs };
     }
     return null;
   }
@@ -55,7 +63,7 @@ export function useAnnotations(series: () => Series | null, picture: () => Annot
   async function validAt({ series: source, logTimeNs }: Target, signal: AbortSignal): Promise<ShownAnnotations | null> {
     const request = { which: "valid", atNs: logTimeNs, product: "annotations", shownNs: null, maxBytes: MAX_SEARCH_BYTES } as const;
     const { message } = await sources.message(source, request, { signal, priority: priority() });
-    return message?.product ? { ...message.product, logTimeNs: message.logTimeNs } : null;
+    return message?.product ? { ...message.product, logTimeNs: message.logTimeNs, ofNs: logTimeNs } : null;
   }
 
   const ask = latest(async (target: Target) => {
@@ -71,6 +79,12 @@ export function useAnnotations(series: () => Series | null, picture: () => Annot
 
   function follow(): void {
     const [source, target] = [series(), picture()];
+    if (shown.value !== null && target !== null && isFar(shown.value.ofNs, target.logTimeNs)) {
+      // What belongs to another picture is not drawn over this one until its own is read.
+      controller.abort();
+      controller = new AbortController();
+      shown.value = null;
+    }
     if (source !== null && target !== null) ask({ series: source, ...target });
   }
 
