@@ -7,6 +7,7 @@ import { isEnvironmentError } from "./console_errors.mjs";
 
 const TIMEOUT_MS = 60_000;
 const MAX_TRIES = 4;
+const SCROLLED_PX = 100;
 const RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"];
 const DESKTOP = { width: 1440, height: 900 };
 const VIEWS = [["desktop", "light", DESKTOP], ["phone-dark", "dark", { width: 360, height: 780 }]];
@@ -38,10 +39,14 @@ export async function openBrowser(web, executablePath, pictures) {
     return { context, page };
   }
 
-  /** Returns the violations that axe reports. Repeats the check, because the layout may still be changing. */
+  /**
+   * Returns the violations that axe reports. Repeats the check, because the layout may still be changing; further down,
+   * because a bar at the edge of the window may cover a part of a button.
+   */
   async function runAxe(page) {
     let violations = [];
     for (let tries = 0; tries < MAX_TRIES; tries += 1) {
+      await page.evaluate((pixels) => window.scrollBy(0, pixels), tries * SCROLLED_PX);
       await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
       violations = await page.evaluate(async (runOnly) => {
         // Without loading stylesheets once more: only a rule that is not among these needs that.

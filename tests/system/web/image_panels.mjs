@@ -56,6 +56,8 @@ export function imagePanels({ page, open, checkPage }) {
     await panel.getByRole("button", { name: "Settings" }).click();
     await panel.locator('[data-setting="map"]').selectOption("grey");
     await panel.locator('[data-setting="least"]').fill("1000");
+    await panel.locator('[data-setting="least"]').press("Enter");
+    await page.locator('[data-colour-bar][data-least="1000"]').waitFor();
     await panel.locator('[data-setting="greatest"]').fill("1500");
     await panel.locator('[data-setting="greatest"]').press("Enter");
     await page.locator('[data-colour-bar][data-least="1000"][data-greatest="1500"]').waitFor();

@@ -172,11 +172,13 @@ async function computedPlot() {
 await goTo(["computed"], laterNs);
 results.computed = { logged: await computedPlot() };
 await checkPage(page, "viewer-computed");
-const box = await panel(0).locator(".u-over").boundingBox();
 const [span, now] = [BigInt(results.end) - BigInt(results.home), BigInt(laterNs) - BigInt(results.home)];
-// Beside the play head, where the messages were read.
-await page.mouse.move(box.x + box.width * (Number(now - 800_000_000n) / Number(span)), box.y + box.height / 2);
-await panel(0).locator("[data-pointer]").waitFor();
+// Beside the play head, where the messages were read. While the page has its new size and colours, the plot is made anew.
+for (let number = 0; number < 60 && (await panel(0).locator("[data-pointer]").count()) === 0; number += 1) {
+  const box = await panel(0).locator(".u-over").boundingBox();
+  await page.mouse.move(box.x + box.width * (Number(now - 800_000_000n) / Number(span)), box.y + box.height / 2 + (number % 2));
+  await page.waitForTimeout(250);
+}
 results.computed.pointer = { timeNs: await panel(0).locator("[data-pointer]").getAttribute("data-pointer"), values: (await plotOf(0)).values };
 await page.mouse.move(0, 0);
 await goTo(["header"], laterNs);
