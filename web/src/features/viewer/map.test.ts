@@ -7,12 +7,12 @@ import type { ReadMessage } from "@/recordings/products/products";
 
 const ZURICH = { latitude: 47.3769, longitude: 8.5417 };
 
-function message(number: number, position: { latitude: number; longitude: number } | null): ReadMessage<"location"> {
+function message(number: number, position: { latitude: number; longitude: number } | null): ReadMessage<"position"> {
   const product = { position: position === null ? null : { ...position, altitude: null }, shapes: [] };
   return { logTimeNs: BigInt(number), publishTimeNs: 0n, sequence: 0, sizeBytes: 0, product };
 }
 
-const along = (count: number, first = 0): ReadMessage<"location">[] => Array.from({ length: count }, (_, number) => message(first + number, { ...ZURICH, longitude: 8 + number * 1e-6 }));
+const along = (count: number, first = 0): ReadMessage<"position">[] => Array.from({ length: count }, (_, number) => message(first + number, { ...ZURICH, longitude: 8 + number * 1e-6 }));
 
 describe("a track", () => {
   it("leaves out messages without a position, counts them, and is broken there", () => {

@@ -25,7 +25,7 @@ export const EMPTY_TRACK: Track = { points: [], positions: 0, stride: 1, missing
 export const MAX_TRACK_POINTS = 4_000;
 
 /** Returns the track with further messages, which are later. */
-export function withPositions(track: Track, messages: readonly ReadMessage<"location">[]): Track {
+export function withPositions(track: Track, messages: readonly ReadMessage<"position">[]): Track {
   const points = [...track.points];
   let { positions, missing, isBroken, stride } = track;
   for (const { logTimeNs, product } of messages) {
