@@ -7,7 +7,7 @@ import { launchBrowser } from "./chromium.mjs";
 const [web, executablePath, link, address, pictures, mission, recording, project, query] = process.argv.slice(2);
 const TIMEOUT_MS = 60_000;
 /** Until all panels have drawn what they read. */
-const SETTLED_MS = 3_000;
+const SETTLED_MS = 6_000;
 
 const browser = await launchBrowser(web, executablePath);
 const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, reducedMotion: "reduce", colorScheme: "light" });
@@ -40,8 +40,6 @@ await takeScreenshot("viewer", `/missions/${mission}/view`, "[data-panel] [data-
     scrubber.value = String(Number(scrubber.max) * 0.4);
     scrubber.dispatchEvent(new Event("input", { bubbles: true }));
   });
-  await page.locator("[data-plot][data-messages]").first().waitFor();
-  await page.locator("[data-scene]:not([data-items='0'])").first().waitFor();
   await page.waitForTimeout(SETTLED_MS);
 });
 await browser.close();
