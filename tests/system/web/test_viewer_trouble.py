@@ -43,12 +43,8 @@ def test_the_viewer_survives_extreme_recordings_expired_addresses_and_a_deletion
     terminal.run("project", "create", "Trouble")
     terminal.run("upload", "-p", "Trouble", "-m", "day", "--create", "--wait", f"{day}/")
 
-    def files() -> list[dict[str, Any]]:
-        items: list[dict[str, Any]] = terminal.run("file", "list", "-p", "Trouble", "--json").json()["items"]
-        return items
-
-    wait_until(lambda: all(file["content"] == "indexed" for file in files()), "the files to be read")
-    known = {file["path"]: file for file in files()}
+    wait_until(lambda: all(file["content"] == "indexed" for file in _files(cluster)), "the files to be read")
+    known = {file["path"]: file for file in _files(cluster)}
     years_key, drive_key = (known[name]["recording_id"][:8] for name in ("years.mcap", "drive.mcap"))
     images_ns = _times(drive.path, _CAMERA)
     request = {
@@ -85,6 +81,11 @@ def test_the_viewer_survives_extreme_recordings_expired_addresses_and_a_deletion
     assert results["deleted"]["status"] == 200
     assert "returned no download URL" in results["deleted"]["sentence"]
     assert results["deleted"]["other"] == {"value": str(len(counted_ns) - 1)}
+
+
+def _files(cluster: Cluster) -> list[dict[str, Any]]:
+    items: list[dict[str, Any]] = cluster.terminal.run("file", "list", "-p", "Trouble", "--json").json()["items"]
+    return items
 
 
 def _times(path: Path, topic: str) -> list[int]:
