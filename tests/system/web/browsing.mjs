@@ -20,14 +20,15 @@ export async function openBrowser(web, executablePath, pictures) {
   const browser = await launchBrowser(web, executablePath);
   const results = { consoleErrors: [], axe: [], overflowing: [], executed: [] };
 
-  /** Opens a page with its own cookies. The server may refuse requests while `expectsErrors` returns true. */
+  /** Opens a page with its own cookies. A request may fail where `expectsErrors`, which gets its address, returns true. */
   async function openPage(expectsErrors = () => false) {
     const context = await browser.newContext({ viewport: DESKTOP, reducedMotion: "reduce", acceptDownloads: true });
     const page = await context.newPage();
     page.setDefaultTimeout(TIMEOUT_MS);
     page.on("console", (message) => {
-      const isExpected = isEnvironmentError(message.text()) || (message.text().startsWith("Failed to load resource") && expectsErrors());
-      if (["error", "warning"].includes(message.type()) && !isExpected) results.consoleErrors.push(`${message.text()} ${message.location().url}`);
+      const { url } = message.location();
+      const isExpected = isEnvironmentError(message.text()) || (message.text().startsWith("Failed to load resource") && expectsErrors(url));
+      if (["error", "warning"].includes(message.type()) && !isExpected) results.consoleErrors.push(`${message.text()} ${url}`);
     });
     page.on("pageerror", (error) => {
       if (!isEnvironmentError(error.message)) results.consoleErrors.push(error.message);
