@@ -4,10 +4,7 @@ A real API, worker, PostgreSQL and store. The cluster is simulated: one runner t
 a login node does, with 500 jobs at a time that wait in a queue of its own, run for some seconds and do nothing.
 """
 
-import contextlib
-import itertools
 import os
-import threading
 import time
 import uuid
 from collections.abc import Iterator, Mapping
@@ -26,15 +23,11 @@ from kleinkram.contract.actions import OwnDefinition
 from kleinkram.contract.runs import RunCreated
 
 Row = dict[str, object]
-_RUNS = int(os.environ.get("KLEINKRAM_BENCH_CLUSTER_RUNS", "1000"))
+_RUNS = int(os.environ.get("KLEINKRAM_BENCH_CLUSTER_RUNS", "2000"))
 _QUEUED, _OF_SMALL = 10_000, 100
 _AT_ONCE, _WITH_FILES = 500, 200
 # Whole minutes, because periodic jobs begin with each.
 _BASELINE_S = 120.0
-# Requests of other people meanwhile. Alone, the requests of a runner come seconds apart. By the next one, other virtual
-# machines have filled the caches of a processor that they share, and the same work takes several times as long.
-_OTHERS_PER_S = 20
-_ALONE = 500
 _SERVER = ("api", "worker", "postgres")
 _MOST_CPU_MS, _MOST_LIST_MS = 5.0, 50.0
 # As at other scales: requests that are measured, after some that are not.
@@ -97,15 +90,11 @@ def cluster_rows(url: str, owner_token: str, database_url: str, mission_id: str)
     settle()
     yield _list_row(url, owner_token)
     idle = _baseline()
-    with _other_people(url, owner_token, mission_id):
-        busy = _baseline()
-        cost = _cost(cluster, _RUNS, busy)
+    cost = _cost(cluster, _RUNS, idle)
     with psycopg.connect(database_url) as database:
         waits = {name: (count, float(median)) for name, count, median in database.execute(_WAITS)}
-    small_ms = (busy.share - idle.share) / _OTHERS_PER_S * 1000
-    yield _cost_row(cost, small_ms, busy)
+    yield _cost_row(cost, idle)
     yield _turn_row(waits)
-    yield _alone_row(_cost(cluster, _ALONE, idle), idle)
     before = _cpu_s()
     cluster.run(_WITH_FILES, with_files=True)
     settle()
@@ -163,29 +152,6 @@ class _Cost(NamedTuple):
         return ", ".join(f"{name} {ms:.1f}" for name, ms in self.ms.items())
 
 
-@contextlib.contextmanager
-def _other_people(url: str, token: str, mission_id: str) -> Iterator[None]:
-    """Request a mission again and again, so many times a second."""
-    headers = {"Authorization": f"Bearer {token}"}
-    is_over = threading.Event()
-
-    def send() -> None:
-        with urllib3.PoolManager(retries=False, timeout=60) as pool:
-            started = time.monotonic()
-            for number in itertools.count():
-                if is_over.wait(max(0.0, started + number / _OTHERS_PER_S - time.monotonic())):
-                    return
-                pool.request("GET", f"{url}/api/v1/missions/{mission_id}", headers=headers)
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_over.set()
-        thread.join()
-
-
 def _baseline() -> _Baseline:
     before = _cpu_s()
     time.sleep(_BASELINE_S)
@@ -202,27 +168,14 @@ def _cost(cluster: SimulatedCluster, runs: int, baseline: _Baseline) -> _Cost:
     return _Cost(ms, (cluster.requests - requests) / runs, took_s)
 
 
-def _cost_row(cost: _Cost, small_ms: float, busy: _Baseline) -> Row:
+def _cost_row(cost: _Cost, idle: _Baseline) -> Row:
     return {
-        "what": f"{_RUNS} runs of a simulated cluster, {_AT_ONCE} at a time, {_QUEUED:,} queued: cost on a server that "
-        f"also answers {_OTHERS_PER_S} requests a second",
-        "measured": f"{cost.server_ms:.1f} ms of a core per run ({cost.parts}); as {cost.server_ms / small_ms:.1f} "
-        f"requests for a mission, of {small_ms:.1f} ms each",
+        "what": f"{_RUNS:,} runs of a simulated cluster, {_AT_ONCE} at a time, {_QUEUED:,} queued: cost on the server",
+        "measured": f"{cost.server_ms:.1f} ms of a core per run ({cost.parts})",
         "bar": f"<= {_MOST_CPU_MS:.0f} ms",
         "met": cost.server_ms <= _MOST_CPU_MS,
-        "also": f"{cost.requests:.2f} requests per run, {cost.took_s:.0f} s; beyond the {busy.share:.1%} of a core "
-        "without runs",
-        "ms": dict(cost.ms),
-    }
-
-
-def _alone_row(cost: _Cost, idle: _Baseline) -> Row:
-    return {
-        "what": f"{_ALONE} such runs on a server that answers nobody else, whose caches are cold",
-        "measured": f"{cost.server_ms:.1f} ms of a core per run ({cost.parts})",
-        "bar": "none: for comparison",
-        "met": True,
-        "also": f"beyond the {idle.share:.1%} of a core without runs",
+        "also": f"{cost.requests:.2f} requests per run, {cost.took_s:.0f} s; beyond the {idle.share:.1%} of a core "
+        "of the idle server with its queue",
         "ms": dict(cost.ms),
     }
 

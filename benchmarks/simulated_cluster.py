@@ -30,7 +30,6 @@ from kleinkram.contract.runners import (
     ClaimRequest,
     ExecutorAbilities,
     Heartbeat,
-    Heartbeats,
     InputsRequest,
     RunAssignment,
     RunAttempt,
@@ -40,7 +39,7 @@ from kleinkram.contract.runners import (
 )
 from kleinkram.contract.runs import EndReason, RunPlacement, RunState
 from kleinkram.contract.uploads import PartToSign, UploadFile, UploadFinish, UploadRequired, crc64nvme
-from kleinkram.runner.run_requests import report_pause_s
+from kleinkram.runner.run_requests import HeartbeatRequests, report_pause_s
 
 # How long the cluster takes to start a job, and to run it, in seconds.
 _PENDING_S, _RUNNING_S = (0.5, 5.0), (10.0, 30.0)
@@ -82,6 +81,7 @@ class SimulatedCluster:
         self._id = uuid.uuid4()
         self._active: dict[uuid.UUID, _Job] = {}
         self._lock = threading.Lock()
+        self._heartbeats = HeartbeatRequests()
         self._due: list[tuple[float, int, Callable[[_Job], None], _Job]] = []
         self._order = itertools.count()
         self._random = random.Random(28)
@@ -235,6 +235,8 @@ class SimulatedCluster:
         while not self._is_over.wait(max(HEARTBEAT_S, report_pause_s(len(self._active)))):
             with self._lock:
                 heartbeats = [job.heartbeat() for job in self._active.values()]
-            if heartbeats:
+            if not heartbeats:
+                continue
+            for request in self._heartbeats.build(heartbeats):
                 self._count()
-                self._runners.send_heartbeats(self._id, Heartbeats(runs=heartbeats))
+                self._heartbeats.match(request, self._runners.send_heartbeats(self._id, request))

@@ -196,10 +196,18 @@ class Heartbeat(Request):
     samples: Annotated[list[UsageSample], Field(max_length=100)] = []
 
 
+class RunAttempt(Request):
+    """A run, and the attempt of the runner's lease."""
+
+    run_id: uuid.UUID
+    attempt: Attempt
+
+
 class Heartbeats(Request):
-    """The states of all runs of a runner."""
+    """The states of all runs of a runner. `unchanged`: those of which an earlier heartbeat said all that is known."""
 
     runs: Annotated[list[Heartbeat], Field(max_length=1000)]
+    unchanged: Annotated[list[RunAttempt], Field(max_length=10_000)] = []
 
 
 class LeaseStatus(str, enum.Enum):
@@ -219,7 +227,7 @@ class HeartbeatReply(Response):
 
 
 class HeartbeatReplies(Response):
-    """The leases of all runs, and their length from now on."""
+    """The leases of runs, and their length from now on. Those of unchanged runs without a reply are active."""
 
     runs: list[HeartbeatReply]
     lease_s: float
@@ -314,13 +322,6 @@ class RunEndsRecorded(Response):
     """The final states of runs, in the order sent; null for a run that the runner does not have by this attempt."""
 
     states: list[RunState | None]
-
-
-class RunAttempt(Request):
-    """A run, and the attempt of the runner's lease."""
-
-    run_id: uuid.UUID
-    attempt: Attempt
 
 
 class ContextsRequest(Request):

@@ -29,7 +29,6 @@ from kleinkram.contract.runners import (
     MAX_WAIT_S,
     Capacity,
     ClaimRequest,
-    Heartbeats,
     RunAssignment,
     RunnerRegistration,
 )
@@ -37,7 +36,7 @@ from kleinkram.runner import state_directory as runner_state
 from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.supervision import boot_time_s
-from kleinkram.runner.run_requests import RunRequests, report_pause_s, split_heartbeats
+from kleinkram.runner.run_requests import HeartbeatRequests, RunRequests, report_pause_s
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
 from kleinkram.runner.statistics import RunnerStatistics
 from kleinkram.systemd import Watchdog, notify_ready, notify_status, notify_stopping
@@ -101,6 +100,7 @@ class Runner:
         # When each of the threads that talk to the server last went through its loop.
         self._progress_s = dict.fromkeys(("claims", "heartbeats"), time.monotonic())
         self._lock = threading.Lock()
+        self._heartbeats = HeartbeatRequests()
         self._threads = [
             threading.Thread(target=work, daemon=True) for work in (self._send_heartbeats, self._enforce_leases)
         ]
@@ -358,15 +358,12 @@ class Runner:
         if not active:
             return
         began_s = boot_time_s()
-        for batch in split_heartbeats([run.heartbeat() for run in active.values()]):
-            heartbeats = {heartbeat.run_id: heartbeat for heartbeat in batch}
+        for request in self._heartbeats.build([run.heartbeat() for run in active.values()]):
             requested_s = boot_time_s()
-            replies = runners.send_heartbeats(self._state.runner_id, Heartbeats(runs=batch))
+            replies = runners.send_heartbeats(self._state.runner_id, request)
             self.statistics.count_answer()
-            for reply in replies.runs:
-                heartbeat = heartbeats.get(reply.run_id)
-                if heartbeat is not None and heartbeat.attempt == reply.attempt:
-                    active[reply.run_id].on_reply(heartbeat, reply, requested_s=requested_s, lease_s=replies.lease_s)
+            for heartbeat, reply in self._heartbeats.match(request, replies):
+                active[reply.run_id].on_reply(heartbeat, reply, requested_s=requested_s, lease_s=replies.lease_s)
         try:
             self._state.record_heartbeat(began_s)  # for the next runner
             self._is_heartbeat_recorded = True

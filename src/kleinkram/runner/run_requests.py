@@ -11,13 +11,23 @@ import time
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from pydantic import BaseModel
 
 from kleinkram.client.runs import Runners
 from kleinkram.contract.errors import KleinkramError
-from kleinkram.contract.runners import MAX_RUNS, Heartbeat, RunAttempt, RunEnd, RunFinish
+from kleinkram.contract.runners import (
+    MAX_RUNS,
+    Heartbeat,
+    HeartbeatReplies,
+    HeartbeatReply,
+    Heartbeats,
+    LeaseStatus,
+    RunAttempt,
+    RunEnd,
+    RunFinish,
+)
 from kleinkram.contract.runs import RunContext
 
 _log = logging.getLogger("kleinkram.runner")
@@ -33,6 +43,7 @@ _MAX_ITEM_BYTES = 64 * 1024
 _MAX_REQUEST_BYTES = 2**20
 # In the heartbeats of one request: about as large.
 _MAX_SAMPLES = 5000
+_REPEAT_S = 60.0
 
 
 def report_pause_s(runs: int) -> float:
@@ -52,6 +63,53 @@ def split_heartbeats(heartbeats: Sequence[Heartbeat]) -> Iterator[list[Heartbeat
         batch.append(heartbeat)
     if batch:
         yield batch
+
+
+class HeartbeatRequests:
+    """Requests with the heartbeats of a runner's runs: with many runs, each says only what the server does not know."""
+
+    def __init__(self) -> None:
+        self._known: dict[uuid.UUID, _KnownHeartbeat] = {}
+
+    def build(self, heartbeats: Sequence[Heartbeat]) -> Iterator[Heartbeats]:
+        """Return the next requests about all runs; at least one."""
+        news, unchanged = [], []
+        self._known = {one.run_id: self._known[one.run_id] for one in heartbeats if one.run_id in self._known}
+        for heartbeat in heartbeats:
+            known = self._known.get(heartbeat.run_id)
+            if len(heartbeats) > MANY_RUNS and known is not None and known.says(heartbeat):
+                unchanged.append(RunAttempt(run_id=heartbeat.run_id, attempt=heartbeat.attempt))
+            else:
+                news.append(heartbeat)
+        for batch in [*split_heartbeats(news)] or [[]]:
+            yield Heartbeats(runs=batch, unchanged=unchanged)
+            unchanged = []
+
+    def match(self, request: Heartbeats, replies: HeartbeatReplies) -> list[tuple[Heartbeat, HeartbeatReply]]:
+        """Return the heartbeats of a request with their replies, and remember what the server knows now."""
+        answered = {(reply.run_id, reply.attempt): reply for reply in replies.runs}
+        matched = []
+        for one in request.unchanged:
+            active = HeartbeatReply(run_id=one.run_id, attempt=one.attempt, status=LeaseStatus.active)
+            matched.append((self._known[one.run_id].heartbeat, answered.get((one.run_id, one.attempt), active)))
+        for heartbeat in request.runs:
+            reply = answered.get((heartbeat.run_id, heartbeat.attempt))
+            if reply is not None:
+                without_samples = heartbeat.model_copy(update={"samples": []})
+                self._known[heartbeat.run_id] = _KnownHeartbeat(without_samples, time.monotonic())
+                matched.append((heartbeat, reply))
+        return matched
+
+
+class _KnownHeartbeat(NamedTuple):
+    """A heartbeat that the server answered, without its samples; and when it was sent."""
+
+    heartbeat: Heartbeat
+    sent_s: float
+
+    def says(self, heartbeat: Heartbeat) -> bool:
+        """Whether another one says no more. From time to time it is repeated, for servers restored from a backup."""
+        return self.heartbeat == heartbeat and time.monotonic() - self.sent_s < _REPEAT_S
 
 
 class RunRequests:

@@ -25,6 +25,7 @@ from kleinkram.contract.runners import (
     ClaimReply,
     ClaimRequest,
     ContextsRequest,
+    Heartbeat,
     HeartbeatReplies,
     HeartbeatReply,
     Heartbeats,
@@ -35,6 +36,7 @@ from kleinkram.contract.runners import (
     LogChunkCreate,
     LogChunkUpload,
     RunAssignment,
+    RunAttempt,
     RunContexts,
     RunEnds,
     RunEndsRecorded,
@@ -252,20 +254,27 @@ class FakeServer:
     def _heartbeat(self, runner_id: uuid.UUID, heartbeats: Heartbeats) -> HeartbeatReplies:
         answers = []
         for heartbeat in heartbeats.runs:
-            run = self.runs.get(heartbeat.run_id)
-            verdict = LeaseStatus.active
-            if run is None or run.runner_id != runner_id or run.attempt != heartbeat.attempt or run.finishes:
-                verdict = LeaseStatus.lost
-            else:
+            status = self._lease_status(runner_id, heartbeat)
+            if status is not LeaseStatus.lost:
+                run = self.runs[heartbeat.run_id]
                 if not run.states or run.states[-1] is not heartbeat.state:
                     run.states.append(heartbeat.state)
                 run.digest = heartbeat.image_digest or run.digest
                 run.placement = heartbeat.placement or run.placement
                 if heartbeat.progress:
                     run.progress.append(heartbeat.progress)
-                verdict = LeaseStatus.cancel if run.is_cancelled else verdict
-            answers.append(HeartbeatReply(run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=verdict))
+            answers.append(HeartbeatReply(run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=status))
+        for named in heartbeats.unchanged:
+            status = self._lease_status(runner_id, named)
+            if status is not LeaseStatus.active:
+                answers.append(HeartbeatReply(run_id=named.run_id, attempt=named.attempt, status=status))
         return HeartbeatReplies(runs=answers, lease_s=self.lease_s)
+
+    def _lease_status(self, runner_id: uuid.UUID, named: Heartbeat | RunAttempt) -> LeaseStatus:
+        run = self.runs.get(named.run_id)
+        if run is None or run.runner_id != runner_id or run.attempt != named.attempt or run.finishes:
+            return LeaseStatus.lost
+        return LeaseStatus.cancel if run.is_cancelled else LeaseStatus.active
 
     def _check(self, run: FakeRun, attempt: int) -> None:
         if run.attempt != attempt or run.runner_id is None or run.finishes:

@@ -61,6 +61,43 @@ def test_heartbeats_of_different_runs_do_not_affect_each_other(lab: Api, runner:
     assert lab.get(f"/runs/{foreign['run_id']}").ok()["state"] == "preparing"
 
 
+def test_of_unchanged_runs_only_notable_ones_are_answered(lab: Api, runner: FakeRunner, place: Place) -> None:
+    runner.api.post("/runners", runner.registration() | {"lease_s": 1000}).ok()
+    for _ in range(5):
+        launch(lab, runner, place.mission)
+    calm, due, ending, cancelled, outdated = claims = runner.claim_several(5)
+    _send(runner, *map(_about, claims[:2]), _about(ending, "collecting"), *map(_about, claims[3:]))
+    lab.sql("UPDATE run SET lease_ends_at = now() + interval '900 s' WHERE id = ANY (%s)", _ids(due, ending))
+    lab.post(f"/runs/{cancelled['run_id']}/cancel").ok()
+    other = another(lab, runner)
+    other.register()
+    launch(lab, runner, place.mission)
+    foreign = other.claim()
+    unchanged = [calm, due, ending, cancelled, {**outdated, "attempt": 7}, foreign]
+    named = [{"run_id": claim["run_id"], "attempt": claim["attempt"]} for claim in unchanged]
+    with lab.statements() as statements:
+        reply = runner.api.post(f"/runners/{runner.id}/heartbeats", {"runs": [], "unchanged": named}).ok()
+    assert {one["run_id"]: one["status"] for one in reply["runs"]} == {
+        due["run_id"]: "active",
+        ending["run_id"]: "active",
+        cancelled["run_id"]: "cancel",
+        outdated["run_id"]: "lost",
+        foreign["run_id"]: "lost",
+    }
+    rows = lab.sql("SELECT id, lease_ends_at - now() > interval '950 s', state FROM run")
+    leases = {str(run_id): (is_renewed, state) for run_id, is_renewed, state in rows}
+    renewed = [leases[claim["run_id"]] for claim in (calm, due, ending)]
+    assert renewed == [(True, "running"), (True, "running"), (True, "collecting")]
+    calm_only = {"runs": [], "unchanged": named[:1]}
+    with lab.statements() as fewer:
+        assert runner.api.post(f"/runners/{runner.id}/heartbeats", calm_only).ok()["runs"] == []
+    assert len(fewer) < len(statements), "what is not notable is only looked up"
+
+
+def _ids(*claims: Any) -> list[uuid.UUID]:
+    return [uuid.UUID(claim["run_id"]) for claim in claims]
+
+
 def test_the_progress_of_the_preparation_ends_with_it(lab: Api, runner: FakeRunner, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim = runner.claim()

@@ -12,10 +12,18 @@ import pytest
 
 from kleinkram.client.runs import Runners
 from kleinkram.contract.errors import InternalError
-from kleinkram.contract.runners import Heartbeat, Heartbeats, RunEnd, RunFinish
+from kleinkram.contract.runners import (
+    Heartbeat,
+    HeartbeatReplies,
+    HeartbeatReply,
+    Heartbeats,
+    LeaseStatus,
+    RunEnd,
+    RunFinish,
+)
 from kleinkram.contract.runs import EndReason, RunState, Usage, UsageSample
 from kleinkram.runner import run_requests
-from kleinkram.runner.run_requests import RunRequests, split_heartbeats
+from kleinkram.runner.run_requests import HeartbeatRequests, RunRequests, split_heartbeats
 
 RUNNER_ID = uuid.UUID(int=1)
 RUNS = [uuid.UUID(int=number) for number in range(100, 130)]
@@ -112,3 +120,79 @@ def test_heartbeats_after_an_outage_are_split() -> None:
     without = [heartbeat.model_copy(update={"samples": []}) for heartbeat in sent]
     assert [*split_heartbeats(without)] == [without]
     assert [*split_heartbeats([])] == []
+
+
+def heartbeats_of(runs: Sequence[uuid.UUID], **values: Any) -> list[Heartbeat]:
+    return [Heartbeat(run_id=run_id, attempt=1, state=RunState.running, **values) for run_id in runs]
+
+
+def exchange(
+    requests: HeartbeatRequests, heartbeats: Sequence[Heartbeat], notable: Sequence[HeartbeatReply] = ()
+) -> tuple[list[uuid.UUID], dict[uuid.UUID, LeaseStatus]]:
+    """Send heartbeats; return the runs that were sent whole, and the statuses of all."""
+    whole: list[uuid.UUID] = []
+    statuses: dict[uuid.UUID, LeaseStatus] = {}
+    for request in requests.build(heartbeats):
+        sent = [one.run_id for one in request.runs]
+        active = [HeartbeatReply(run_id=run_id, attempt=1, status=LeaseStatus.active) for run_id in sent]
+        replies = HeartbeatReplies(runs=[*active, *notable], lease_s=60)
+        whole += sent
+        statuses |= {heartbeat.run_id: reply.status for heartbeat, reply in requests.match(request, replies)}
+    return whole, statuses
+
+
+def test_of_many_runs_only_news_are_sent() -> None:
+    requests = HeartbeatRequests()
+    heartbeats = heartbeats_of(RUNS)
+    all_active = dict.fromkeys(RUNS, LeaseStatus.active)
+    assert exchange(requests, heartbeats) == (RUNS, all_active)
+    assert exchange(requests, heartbeats) == ([], all_active)
+    heartbeats[4] = heartbeats[4].model_copy(update={"state": RunState.collecting})
+    assert exchange(requests, heartbeats) == ([RUNS[4]], all_active)
+    usage = Usage(cpu_s=1, memory_bytes=1, peak_memory_bytes=1, read_bytes=0, written_bytes=0)
+    sampled = [*heartbeats]
+    sampled[5] = sampled[5].model_copy(update={"samples": [UsageSample(at_s=1, usage=usage)]})
+    assert exchange(requests, sampled) == ([RUNS[5]], all_active)
+    assert exchange(requests, heartbeats) == ([], all_active)
+
+
+def test_unchanged_runs_may_be_lost_or_cancelled() -> None:
+    requests = HeartbeatRequests()
+    heartbeats = heartbeats_of(RUNS)
+    exchange(requests, heartbeats)
+    notable = [
+        HeartbeatReply(run_id=RUNS[1], attempt=1, status=LeaseStatus.lost),
+        HeartbeatReply(run_id=RUNS[2], attempt=1, status=LeaseStatus.cancel),
+        HeartbeatReply(run_id=RUNS[3], attempt=2, status=LeaseStatus.lost),
+    ]
+    whole, statuses = exchange(requests, heartbeats, notable)
+    assert whole == []
+    assert [statuses[run_id].value for run_id in RUNS[:4]] == ["active", "lost", "cancel", "active"]
+
+
+def test_what_got_no_answer_is_sent_again() -> None:
+    requests = HeartbeatRequests()
+    heartbeats = heartbeats_of(RUNS)
+    (request,) = requests.build(heartbeats)
+    (again,) = requests.build(heartbeats)
+    assert again == request
+    answered = HeartbeatReplies(runs=[HeartbeatReply(run_id=RUNS[0], attempt=1, status=LeaseStatus.active)], lease_s=60)
+    assert [heartbeat.run_id for heartbeat, _ in requests.match(request, answered)] == [RUNS[0]]
+    (next_request,) = requests.build(heartbeats)
+    assert [one.run_id for one in next_request.runs] == RUNS[1:]
+    assert [one.run_id for one in next_request.unchanged] == RUNS[:1]
+
+
+def test_heartbeats_are_repeated_for_a_restored_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    requests = HeartbeatRequests()
+    heartbeats = heartbeats_of(RUNS)
+    exchange(requests, heartbeats)
+    monkeypatch.setattr(run_requests, "_REPEAT_S", 0.0)
+    assert exchange(requests, heartbeats)[0] == RUNS
+
+
+def test_a_runner_with_ten_runs_sends_all() -> None:
+    requests = HeartbeatRequests()
+    heartbeats = heartbeats_of(RUNS[:10])
+    assert exchange(requests, heartbeats)[0] == RUNS[:10]
+    assert exchange(requests, heartbeats)[0] == RUNS[:10]

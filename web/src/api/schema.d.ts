@@ -5236,7 +5236,7 @@ export interface components {
         };
         /**
          * HeartbeatReplies
-         * @description The leases of all runs, and their length from now on.
+         * @description The leases of runs, and their length from now on. Those of unchanged runs without a reply are active.
          */
         HeartbeatReplies: {
             /** Lease S */
@@ -5260,11 +5260,16 @@ export interface components {
         };
         /**
          * Heartbeats
-         * @description The states of all runs of a runner.
+         * @description The states of all runs of a runner. `unchanged`: those of which an earlier heartbeat said all that is known.
          */
         Heartbeats: {
             /** Runs */
             runs: components["schemas"]["Heartbeat"][];
+            /**
+             * Unchanged
+             * @default []
+             */
+            unchanged: components["schemas"]["RunAttempt"][];
         };
         /**
          * HomeRead

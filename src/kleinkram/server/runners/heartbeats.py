@@ -1,7 +1,7 @@
 """Heartbeats: a runner reports the states of its runs, which renews their leases.
 
-A few statements for any number of runs: a cluster sends 500 every four seconds. Of most, nothing is new; their rows are
-only read, and a long lease is not renewed before a part of it is over.
+A few statements for any number of runs: a cluster has 500, and sends heartbeats every four seconds. Of most, nothing is
+new: the runner only names them, and they are only looked up. A long lease is not renewed before a part of it is over.
 """
 
 import uuid
@@ -19,6 +19,7 @@ from kleinkram.contract.runners import (
     HeartbeatReply,
     Heartbeats,
     LeaseStatus,
+    RunAttempt,
 )
 from kleinkram.contract.runs import MAX_SAMPLES, RunState
 from kleinkram.server.access.actor import Actor
@@ -62,6 +63,17 @@ WHERE run.id = ANY (CAST(:run_ids AS uuid[])) AND runner_id = :runner_id
 ORDER BY run.id
 """
 _READ, _LOCK = text(_READ_SQL), text(f"{_READ_SQL} FOR NO KEY UPDATE OF run")
+# Of the runs of which nothing is new, those whose lease is due, that are to be cancelled, or that are lost.
+_READ_NOTABLE = text("""
+SELECT named.run_id, named.attempt, coalesce(run.state, 'preparing')
+FROM unnest(CAST(:run_ids AS uuid[]), CAST(:attempts AS integer[])) AS named(run_id, attempt)
+LEFT JOIN (run JOIN mission ON mission.id = run.mission_id JOIN project ON project.id = mission.project_id)
+  ON run.id = named.run_id AND run.attempt = named.attempt AND runner_id = :runner_id
+    AND run.state IN ('preparing', 'running', 'collecting')
+WHERE run.id IS NULL OR coalesce(cancel_requested_at, mission.deleted_at, project.deleted_at) IS NOT NULL
+  OR lease_ends_at - now()
+    < make_interval(secs => CASE WHEN run.state = 'collecting' THEN :collecting_due_s ELSE :due_s END)
+""")
 # A job may wait in the queue of a cluster for days, at first or after a failure of its node: its token lasts longer.
 _EXTEND_TOKENS = text("""
 UPDATE token SET expires_at = now() + unfinished.lasts
@@ -102,8 +114,9 @@ async def record_heartbeats(
         Forbidden: the token is another runner's.
     """
     lease = _Lease(await record_seen(db, actor, runner_id))
-    by_attempt = {(one.run_id, one.attempt): one for one in heartbeats.runs}
-    read = await _read_reported(db, runner_id, heartbeats.runs, lock=False)
+    reported = [*heartbeats.runs, *await _notable(db, runner_id, heartbeats.unchanged, lease)]
+    by_attempt = {(one.run_id, one.attempt): one for one in reported}
+    read = await _read_reported(db, runner_id, reported, lock=False) if reported else []
     rows = {(row.id, row.attempt): row for row in read if (row.id, row.attempt) in by_attempt}
     changed = {key: by_attempt[key] for key, row in rows.items() if _is_changed(row, by_attempt[key], lease)}
     if changed:
@@ -114,7 +127,7 @@ async def record_heartbeats(
         rows = {key: row for key, row in rows.items() if key not in changed}
         rows |= {(row.id, row.attempt): row for row, _ in still_here}
     replies = []
-    for heartbeat in heartbeats.runs:
+    for heartbeat in reported:
         row = rows.get((heartbeat.run_id, heartbeat.attempt))
         status = LeaseStatus.lost
         if row is not None:
@@ -137,6 +150,27 @@ class _Lease(NamedTuple):
         """The length of the lease of a run in this state."""
         return max(self.lasts_s, _COLLECTING_LEASE_S) if state is RunState.collecting else self.lasts_s
 
+    def due_s(self, state: RunState) -> float:
+        """The lease of a run in this state is renewed once less is left of it."""
+        return self.of(state) - (self.lasts_s - self.left_s)
+
+
+async def _notable(
+    db: Connection, runner_id: uuid.UUID, unchanged: Sequence[RunAttempt], lease: _Lease
+) -> list[Heartbeat]:
+    """Return heartbeats, without news, of unchanged runs whose lease is due, that are to be cancelled, or are lost."""
+    if not unchanged:
+        return []
+    values = {
+        "run_ids": [one.run_id for one in unchanged],
+        "attempts": [one.attempt for one in unchanged],
+        "runner_id": runner_id,
+        "due_s": lease.due_s(RunState.running),
+        "collecting_due_s": lease.due_s(RunState.collecting),
+    }
+    rows = await db.execute(_READ_NOTABLE, values)
+    return [Heartbeat(run_id=run_id, attempt=attempt, state=RunState(state)) for run_id, attempt, state in rows]
+
 
 async def _read_reported(
     db: Connection, runner_id: uuid.UUID, reported: Sequence[Heartbeat], *, lock: bool
@@ -154,7 +188,7 @@ async def _read_reported(
 
 def _is_changed(row: _Reported, heartbeat: Heartbeat, lease: _Lease) -> bool:
     """Whether a heartbeat says something new, or the lease is to be renewed."""
-    is_due = row.lease_left_s < lease.of(heartbeat.state) - (lease.lasts_s - lease.left_s)
+    is_due = row.lease_left_s < lease.due_s(heartbeat.state)
     return is_due or bool(_news(row, heartbeat))
 
 
