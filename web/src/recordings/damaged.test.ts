@@ -73,6 +73,18 @@ describe("a recording with a damaged chunk", () => {
     expect(drawn.values[0]?.at(-1)).toBe(COUNT - 1);
   });
 
+  it("has no derivative across the chunk", async () => {
+    const bytes = await mcap();
+    const at = ((await chunkOffsets(bytes))[1] ?? 0) + 100;
+    bytes[at] = (bytes[at] ?? 0) ^ 255;
+    const { seconds, values, damaged, messages } = await (await session("mcap", bytes)).curves({ ...ALL, fields: ["x", "derivative(x)"] }, quiet);
+    const behind = seconds.findIndex((second) => second > (damaged[0]?.toSeconds ?? Infinity));
+    expect(values[0]?.[behind]).toBeGreaterThan(1);
+    expect(values[1]?.[behind]).toBeNull();
+    expect(values[1]?.[behind + 1]).toBeCloseTo(100);
+    expect(values[1]?.filter((value) => value !== null)).toHaveLength(messages - 2); // not of the first message, nor of this one
+  });
+
   it("offers the fields of the first message that can be read, though the first chunk is damaged", async () => {
     const bytes = await mcap();
     const at = ((await chunkOffsets(bytes))[0] ?? 0) + 100;

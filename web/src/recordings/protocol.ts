@@ -71,6 +71,8 @@ export interface OfferedFields {
 export interface DrawnCurves extends Curves {
   /** The bytes of the whole span. `untilNs` is the end of what was read. */
   wholeBytes: number;
+  /** The bytes of the topic in the whole recording. */
+  topicBytes: number;
   damaged: DamagedPart[];
   untilNs: bigint;
   /** Messages with a log time although the time of headers was requested. */

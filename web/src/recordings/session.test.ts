@@ -135,8 +135,12 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
 
   it("reads no more than it may, and says what the whole costs", async () => {
     const { session, size } = await opened(format);
-    const { seconds, wholeBytes, untilNs } = await session.curves(request({ maxBytes: size / 4 }), quiet);
+    const { seconds, wholeBytes, topicBytes, untilNs } = await session.curves(request({ maxBytes: size / 4 }), quiet);
     expect(wholeBytes).toBeGreaterThan(size / 2);
+    expect(topicBytes).toBe(wholeBytes);
+    const part = await session.curves(request({ fromNs: timeOf(COUNT - 10) }), quiet);
+    expect(part.topicBytes).toBe(topicBytes);
+    expect(part.wholeBytes).toBeLessThan(topicBytes);
     expect(untilNs).toBeLessThan(timeOf(COUNT / 2));
     expect(seconds.at(-1)).toBeGreaterThan(3);
     expect(seconds.at(-1)).toBeLessThan(8);

@@ -94,8 +94,9 @@ export class Session {
     const pieces = this.recording.pieces([request.topic], requested);
     const span = affordable(requested, pieces, request.maxBytes);
     const reading = new CurveReading(request, whole, span);
-    const noticed = new Damages(whole.fromNs, (part) => reading.breakAt((part.fromSeconds + part.toSeconds) / 2));
-    const drawn = (): DrawnCurves => ({ ...reading.curves(), damaged: [...noticed.parts], wholeBytes: cost(pieces), untilNs: span.toNs });
+    const noticed = new Damages(whole.fromNs, (part) => reading.breakAt(part));
+    const bytes = { wholeBytes: cost(pieces), topicBytes: cost(this.recording.pieces([request.topic], whole)) };
+    const drawn = (): DrawnCurves => ({ ...reading.curves(), ...bytes, damaged: [...noticed.parts], untilNs: span.toNs });
     if (reading.needsPrevious && span.fromNs > whole.fromNs) await this.beginWithPrevious(reading, request.topic, span.fromNs);
     this.recording.source.ahead = this.isDense(pieces) ? READ_AHEAD : 0;
     const [pausing, reporting] = [new Timer(PAUSE_EVERY_MS), new Timer(REPORT_EVERY_MS)];

@@ -1,11 +1,11 @@
 import { expect, it } from "vitest";
-import { aligned, partAround, partsToDetail, segmentOf, unreadParts, unreadUntil, valueAt, withDetail, type Segment } from "./curves";
+import { aligned, bytesToReadAll, partAround, partsToDetail, segmentOf, unreadParts, unreadUntil, valueAt, withDetail, type Segment } from "./curves";
 import type { SourceFile } from "./sources";
 
 const file: SourceFile = { id: "f", path: "a.mcap", format: "mcap", size_bytes: 1, span: { fromNs: 0n, toNs: 100n } };
 
 function segment(fromNs: bigint, toNs: bigint, more: Partial<Segment> = {}): Segment {
-  return { fileId: "f", fromNs, toNs, seconds: [], values: [], messages: 0, isWhole: true, wholeBytes: 0, isCut: false, unstamped: 0, ...more };
+  return { fileId: "f", fromNs, toNs, seconds: [], values: [], messages: 0, isWhole: true, topicBytes: 0, unstamped: 0, ...more };
 }
 
 it("names the parts of a file that were not read", () => {
@@ -25,9 +25,18 @@ it("reads around a time only within the unread part that the time is in", () => 
 });
 
 it("covers no more than what was read where the limit was reached", () => {
-  const curves = { seconds: [0, 1], values: [[5, 6]], messages: 2, isWhole: true, wholeBytes: 999, damaged: [], untilNs: 40n, unstamped: 0 };
-  expect(segmentOf("f", file.span, curves, 2)).toMatchObject({ fromNs: 0n, toNs: 40n, isCut: true, seconds: [2, 3], wholeBytes: 999 });
-  expect(segmentOf("f", file.span, { ...curves, untilNs: 100n }, 2)).toMatchObject({ toNs: 100n, isCut: false });
+  const curves = { seconds: [0, 1], values: [[5, 6]], messages: 2, isWhole: true, wholeBytes: 99, topicBytes: 999, damaged: [], untilNs: 40n, unstamped: 0 };
+  expect(segmentOf("f", file.span, curves, 2)).toMatchObject({ fromNs: 0n, toNs: 40n, seconds: [2, 3], topicBytes: 999 });
+  expect(segmentOf("f", file.span, { ...curves, untilNs: 100n }, 2)).toMatchObject({ toNs: 100n });
+});
+
+it("names what a topic needs in the files with unread parts, and estimates it for those that were not opened", () => {
+  const files = ["f", "g", "h"].map((id, number): SourceFile => ({ ...file, id, size_bytes: 1_000 * (number + 1) }));
+  const around = segment(40n, 50n, { topicBytes: 100 });
+  expect(bytesToReadAll(files, [around, segment(60n, 61n, { topicBytes: 100 })])).toBe(100 + 200 + 300);
+  expect(bytesToReadAll(files, [around, segment(0n, 100n, { fileId: "g", topicBytes: 800 })])).toBe(100 + 900);
+  expect(bytesToReadAll(files, files.map(({ id }) => segment(0n, 100n, { fileId: id, topicBytes: 5 })))).toBe(0);
+  expect(bytesToReadAll(files, [])).toBe(0);
 });
 
 it("keeps the value of a message where another one at the same time has none", () => {
@@ -36,11 +45,11 @@ it("keeps the value of a message where another one at the same time has none", (
 });
 
 it("counts what remains of a segment whose beginning is read again", () => {
-  const whole = segment(0n, 100n, { isWhole: false, messages: 50, unstamped: 5, wholeBytes: 900, isCut: true });
+  const whole = segment(0n, 100n, { isWhole: false, messages: 50, unstamped: 5 });
   const segments = withDetail([whole], segment(0n, 20n, { messages: 10, unstamped: 2 }), Number);
-  expect(segments.map(({ fromNs, messages, unstamped, wholeBytes, isCut }) => [fromNs, messages, unstamped, wholeBytes, isCut])).toEqual([
-    [21n, 40, 3, 900, true],
-    [0n, 10, 2, 0, false],
+  expect(segments.map(({ fromNs, messages, unstamped }) => [fromNs, messages, unstamped])).toEqual([
+    [21n, 40, 3],
+    [0n, 10, 2],
   ]);
 });
 
@@ -83,13 +92,13 @@ it("reads again what is zoomed in of a part that is drawn by extremes", () => {
 });
 
 it("puts what was read again into its place", () => {
-  const thinned = segment(0n, 100n, { seconds: [0, 10, 20, 30, 100], values: [[0, 1, 2, 3, 10]], isWhole: false, messages: 1000, wholeBytes: 7, isCut: true });
+  const thinned = segment(0n, 100n, { seconds: [0, 10, 20, 30, 100], values: [[0, 1, 2, 3, 10]], isWhole: false, messages: 1000 });
   const detail = segment(10n, 29n, { seconds: [10, 11, 29], values: [[1, 1.1, 2.9]], messages: 3 });
   const segments = withDetail([thinned], detail, Number);
-  expect(segments.map(({ fromNs, toNs, seconds, messages, wholeBytes, isCut }) => [fromNs, toNs, seconds, messages, wholeBytes, isCut])).toEqual([
-    [0n, 9n, [0], 997, 7, true],
-    [30n, 100n, [30, 100], 0, 0, false],
-    [10n, 29n, [10, 11, 29], 3, 0, false],
+  expect(segments.map(({ fromNs, toNs, seconds, messages }) => [fromNs, toNs, seconds, messages])).toEqual([
+    [0n, 9n, [0], 997],
+    [30n, 100n, [30, 100], 0],
+    [10n, 29n, [10, 11, 29], 3],
   ]);
   expect(aligned([{ curves: 1, segments }])).toEqual({ seconds: [0, 10, 11, 29, 30, 100], values: [[0, 1, 1.1, 2.9, 3, 10]] });
   expect(withDetail([segment(0n, 9n)], detail, Number)).toHaveLength(2);

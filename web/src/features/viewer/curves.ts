@@ -19,10 +19,8 @@ export interface Segment extends FilePart {
   readonly messages: number;
   /** Whether these are all points, or the extremes of slices. */
   readonly isWhole: boolean;
-  /** What the whole request would read, in bytes. */
-  readonly wholeBytes: number;
-  /** Whether more is to be read, which `wholeBytes` includes. */
-  readonly isCut: boolean;
+  /** What the topic has in the whole file, in bytes. */
+  readonly topicBytes: number;
   /** Messages with a log time although the time of headers was requested. */
   readonly unstamped: number;
 }
@@ -54,14 +52,14 @@ const AROUND_AFTER_NS = 15_000_000_000n;
 /** Returns the segment of curves that a file gave; `offsetSeconds` is the start of its recording on the axis. */
 export function segmentOf(fileId: string, requested: Span, curves: DrawnCurves, offsetSeconds: number): Segment {
   const untilNs = curves.untilNs < requested.toNs ? curves.untilNs : requested.toNs;
-  const { values, messages, isWhole, wholeBytes, unstamped } = curves;
+  const { values, messages, isWhole, topicBytes, unstamped } = curves;
   const seconds = curves.seconds.map((second) => second + offsetSeconds);
-  return { fileId, fromNs: requested.fromNs, toNs: untilNs, seconds, values, messages, isWhole, wholeBytes, isCut: untilNs < requested.toNs, unstamped };
+  return { fileId, fromNs: requested.fromNs, toNs: untilNs, seconds, values, messages, isWhole, topicBytes, unstamped };
 }
 
 /** Returns the segment of a part of a file that has no message of the topic. */
 export function emptySegment(fileId: string, part: Span): Segment {
-  return { ...part, fileId, seconds: [], values: [], messages: 0, isWhole: true, wholeBytes: 0, isCut: false, unstamped: 0 };
+  return { ...part, fileId, seconds: [], values: [], messages: 0, isWhole: true, topicBytes: 0, unstamped: 0 };
 }
 
 /** Returns the parts of a file that no segment covers, in order. */
@@ -74,6 +72,15 @@ export function unreadParts({ id, span }: SourceFile, segments: readonly FilePar
     if (segment.toNs >= fromNs) fromNs = segment.toNs + 1n;
   }
   return fromNs <= span.toNs ? [...parts, { fromNs, toNs: span.toNs }] : parts;
+}
+
+/** Returns the bytes of a topic in the files that have unread parts. Of files that were not opened, by its share of the others. */
+export function bytesToReadAll(files: readonly SourceFile[], segments: readonly Segment[]): number {
+  const known = new Map(segments.map(({ fileId, topicBytes }) => [fileId, topicBytes]));
+  const openedBytes = files.reduce((sum, { id, size_bytes: size }) => sum + (known.has(id) ? size : 0), 0);
+  const share = [...known.values()].reduce((sum, bytes) => sum + bytes, 0) / Math.max(1, openedBytes);
+  const isUnread = (file: SourceFile): boolean => unreadParts(file, segments).length > 0;
+  return files.filter(isUnread).reduce((sum, { id, size_bytes: size }) => sum + (known.get(id) ?? Math.round(share * size)), 0);
 }
 
 /** Returns what is to be read around a time, within an unread part; null where the time lies in none. */
@@ -116,7 +123,7 @@ export function withDetail(segments: readonly Segment[], detail: Segment, second
     const remaining = [before, after].filter(({ fromNs, toNs }) => fromNs <= toNs);
     // What both parts have together is counted in the first.
     const counts = { messages: segment.messages - detail.messages, unstamped: segment.unstamped - detail.unstamped };
-    const none = { messages: 0, unstamped: 0, wholeBytes: 0, isCut: false };
+    const none = { messages: 0, unstamped: 0 };
     return remaining.map((part, place) => ({ ...part, ...(place === 0 ? counts : none) }));
   });
   return [...others, detail];

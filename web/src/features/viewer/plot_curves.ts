@@ -64,6 +64,11 @@ export function isDerived({ column, minus }: PlotCurve): boolean {
   return minus !== null || derivationOf(column) !== null;
 }
 
+/** Returns the curves that a layout selects, whether or not the topic has them. */
+export function layoutCurves(texts: readonly string[]): readonly PlotCurve[] {
+  return texts.map(curveOf).slice(0, MAX_CURVES);
+}
+
 /** Returns the curves that a layout selects and the topic has, else the defaults of the type. */
 export function chosenCurves(nodes: readonly FieldNode[], texts: readonly string[], messageType: string | null): readonly PlotCurve[] {
   const [fields, vectors] = [new Set(leaves(nodes)), new Set(vectorPaths(nodes))];

@@ -3,6 +3,7 @@ import { aligned, valueAt, type Aligned, type Segment, type SeriesState } from "
 import type { Series } from "./layout";
 import { curveOf, isDerived, type OtherField } from "./plot_curves";
 import { MAX_CURVES } from "@/recordings/limits";
+import type { CurveTime } from "@/recordings/protocol";
 
 /** A topic of a plot. `first`: the place of its first curve among those of the plot. */
 export interface PlotRow {
@@ -10,6 +11,12 @@ export interface PlotRow {
   readonly state: SeriesState | undefined;
   readonly first: number;
   readonly count: number;
+}
+
+/** The axis of a plot. `secondsOf` returns the place of a log time on it. */
+export interface TimeAxis {
+  readonly time: CurveTime;
+  readonly secondsOf: (timeNs: bigint) => number;
 }
 
 /** Doubles of two recordings may differ at the same nanosecond. */
@@ -35,9 +42,9 @@ export function operandsOf(series: readonly Series[], source: Source): string[] 
   return [...new Set(others.filter((other) => sourceKey(other) === sourceKey(source)).map(({ field }) => field))].slice(0, MAX_CURVES);
 }
 
-/** Returns all curves of a plot with one list of times. `secondsOf` returns the place of a log time on the axis. */
-export function drawnCurves(rows: readonly PlotRow[], secondsOf: (timeNs: bigint) => number): Aligned {
-  return aligned(rows.map(({ state, count }) => ({ curves: count, segments: state === undefined ? [] : segmentsOf(state, rows, secondsOf) })));
+/** Returns all curves of a plot with one list of times. */
+export function drawnCurves(rows: readonly PlotRow[], axis: TimeAxis): Aligned {
+  return aligned(rows.map(({ state, count }) => ({ curves: count, segments: state === undefined ? [] : segmentsOf(state, rows, axis) })));
 }
 
 /** Whether a curve misses where only extremes are known, of a preview or of many messages: those of a computed curve are not. */
@@ -57,10 +64,10 @@ function stateOf(rows: readonly PlotRow[], source: Source): SeriesState | undefi
 }
 
 /** Returns the segments of a topic by its curves instead of by what was read. */
-function segmentsOf(state: SeriesState, rows: readonly PlotRow[], secondsOf: (timeNs: bigint) => number): Segment[] {
+function segmentsOf(state: SeriesState, rows: readonly PlotRow[], axis: TimeAxis): Segment[] {
   const columns = state.curves.map(({ column, minus }) => {
     const other = minus === null ? undefined : stateOf(rows, minus);
-    const subtracted = minus === null ? null : whollyRead(other?.segments ?? [], other?.columns.indexOf(minus.field) ?? -1, secondsOf);
+    const subtracted = minus === null ? null : whollyRead(other ?? NOTHING_READ, other?.columns.indexOf(minus.field) ?? -1, axis);
     return { place: state.columns.indexOf(column), subtracted };
   });
   return [...state.segments, ...state.rough].map((segment) => ({
@@ -74,17 +81,34 @@ export interface KnownCurve extends Aligned {
   readonly spans: readonly (readonly [from: number, to: number])[];
 }
 
+type ReadParts = Pick<SeriesState, "segments" | "unread">;
+const NOTHING_READ: ReadParts = { segments: [], unread: [] };
+
 /** Returns a curve without the segments that have extremes only. */
-export function whollyRead(segments: readonly Segment[], column: number, secondsOf: (timeNs: bigint) => number): KnownCurve {
-  const whole = segments.filter(({ isWhole }) => isWhole).toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1));
-  const spans: [bigint, bigint][] = [];
-  for (const { fromNs, toNs } of whole) {
-    const last = spans.at(-1);
-    if (last !== undefined && fromNs <= last[1] + 1n) last[1] = toNs > last[1] ? toNs : last[1];
-    else spans.push([fromNs, toNs]);
-  }
+export function whollyRead(parts: ReadParts, column: number, axis: TimeAxis): KnownCurve {
+  const whole = parts.segments.filter(({ isWhole }) => isWhole).toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1));
   const curve = whole.map((segment) => ({ ...segment, values: [segment.values[column] ?? []] }));
-  return { ...aligned([{ curves: 1, segments: curve }]), spans: spans.map(([fromNs, toNs]) => [secondsOf(fromNs), secondsOf(toNs)]) };
+  return { ...aligned([{ curves: 1, segments: curve }]), spans: joined(whole).map((span) => knownSeconds(span, parts, axis)) };
+}
+
+/** Joins segments that touch; they are in order. */
+function joined(segments: readonly Segment[]): Segment[] {
+  const result: Segment[] = [];
+  for (const segment of segments) {
+    const last = result.at(-1);
+    if (last === undefined || segment.fromNs > last.toNs + 1n) result.push(segment);
+    else result[result.length - 1] = { ...last, toNs: segment.toNs > last.toNs ? segment.toNs : last.toNs, seconds: [...last.seconds, ...segment.seconds] };
+  }
+  return result;
+}
+
+/** Returns where a curve is known by a part that was read. */
+function knownSeconds({ fromNs, toNs, seconds }: Segment, { segments, unread }: ReadParts, { time, secondsOf }: TimeAxis): [number, number] {
+  if (time === "log") return [secondsOf(fromNs), secondsOf(toNs)];
+  // What was logged behind the part may be stamped within it, but not before its last stamp.
+  const [first, last] = [seconds[0] ?? Infinity, seconds.at(-1) ?? -Infinity];
+  const isLast = ![...unread, ...segments.filter(({ isWhole }) => !isWhole)].some((other) => other.fromNs > toNs);
+  return [first, isLast ? Math.max(last, secondsOf(toNs)) : last];
 }
 
 /** Returns a curve of a segment minus the value of another that was valid at the time of each of its points. */

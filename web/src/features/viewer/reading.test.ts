@@ -18,6 +18,7 @@ const SPAN = { fromNs: 0n, toNs: 600n * SECOND };
 const series = { recording: "k", topic: "/t", fields: ["x"] };
 /** Something that never ends would make more requests. */
 const MOST_REQUESTS = 100;
+const TOPIC_BYTES = 3 * 2 ** 30;
 
 interface Made {
   readonly stepNs: bigint;
@@ -56,7 +57,7 @@ function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, p
       }
       note(request);
       const untilNs = request.fromNs + curvesNs < request.toNs ? request.fromNs + curvesNs : request.toNs;
-      return { seconds: [], values: [[]], messages: 0, isWhole, damaged: [], wholeBytes: 2 ** 30, untilNs, unstamped: 0 };
+      return { seconds: [], values: [[]], messages: 0, isWhole, damaged: [], wholeBytes: 2 ** 30, topicBytes: TOPIC_BYTES, untilNs, unstamped: 0 };
     },
     close: () => undefined,
   } as unknown as FileReader;
@@ -149,13 +150,25 @@ it("draws the preview of a large recording before its fields are read", async ()
   expect(requests.length).toBeGreaterThan(0);
 });
 
+it("draws all curves of a layout while only the fields of a preview are known", async () => {
+  const fields = ["norm(velocity)", "derivative(hidden)", "difference(x,hidden)"];
+  const never = new Promise<void>(() => undefined);
+  const { using } = viewerAt(300n * SECOND, { ...LARGE, beforeFields: never, preview: { series: () => Promise.resolve(BINS), fieldsOf: () => ["x", "velocity.x", "velocity.y"] } });
+  const { curves } = using(() => useCurves(() => ({ ...series, fields }), () => 0, () => null));
+  const { curves: defaults } = using(() => useCurves(() => ({ ...series, fields: [] }), () => 0, () => null));
+  await settled();
+  expect(curves.value.map(({ column }) => column)).toEqual(fields);
+  expect(defaults.value.map(({ column }) => column)).toEqual(["x", "velocity.x", "velocity.y"]);
+});
+
 it("shows the preview of a large recording, and reads only what is around the play head and zoomed in", async () => {
   vi.useFakeTimers({ toFake: ["setTimeout", "clearTimeout"] });
   const { using, requests } = viewerAt(300n * SECOND, { ...LARGE, preview: { series: () => Promise.resolve(BINS) } });
   const zoomed = ref<{ fromNs: bigint; toNs: bigint } | null>(null);
-  const { rough, unread } = using(() => useCurves(() => series, () => 0, () => zoomed.value));
+  const { rough, unread, wholeBytes } = using(() => useCurves(() => series, () => 0, () => zoomed.value));
   await settled();
   expect(requests).toEqual([{ fromNs: 298n * SECOND, toNs: 315n * SECOND }]);
+  expect(wholeBytes.value).toBe(TOPIC_BYTES); // not only what is around the play head
   const seconds = rough.value.flatMap((segment) => segment.seconds);
   expect(seconds).toHaveLength(18); // of two bins, one end was read
   expect(seconds.some((second) => second >= 298 && second <= 315)).toBe(false);

@@ -4,7 +4,7 @@ import type { SourceFile } from "./sources";
 
 const file: SourceFile = { id: "f", path: "a.mcap", format: "mcap", size_bytes: 1, span: { fromNs: 0n, toNs: 39n } };
 const secondsOf = (timeNs: bigint): number => Number(timeNs);
-const nothing = { messages: 0, isWhole: true, wholeBytes: 0, isCut: false, unstamped: 0, seconds: [], values: [] };
+const nothing = { messages: 0, isWhole: true, topicBytes: 0, unstamped: 0, seconds: [], values: [] };
 
 it("draws both extremes of each bin, in turn, and breaks where a bin has no number", () => {
   const series = {

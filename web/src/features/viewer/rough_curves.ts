@@ -46,7 +46,7 @@ function roughSegment(fileId: string, part: Span, { firstNs, lastNs, messagesPer
   }
   const values = fields.map((field) => points.map(({ bin, isLow }) => (bin === null ? null : numberOrNull((isLow ? field?.low : field?.high)?.[bin]))));
   const seconds = points.map(({ second }) => second);
-  return { ...part, fileId, seconds, values, messages: 0, isWhole: false, wholeBytes: 0, isCut: false, unstamped: 0 };
+  return { ...part, fileId, seconds, values, messages: 0, isWhole: false, topicBytes: 0, unstamped: 0 };
 }
 
 /** Returns the number of the part that a time is in, or after which it comes. */

@@ -1,9 +1,9 @@
 // Reads the curves of one topic: those of the previews of a large recording, else the beginning up to a limit; then what
 // is around the play head or in the part that is zoomed in, and the rest on demand.
-import { computed, onScopeDispose, shallowRef, watch, type ComputedRef, type Ref } from "vue";
-import { AROUND_BYTES, emptySegment, partAround, partsToDetail, partsWithin, PLOT_BYTES, segmentOf, unreadParts, withDetail, type Segment } from "./curves";
+import { computed, onScopeDispose, ref, shallowRef, watch, type ComputedRef, type Ref } from "vue";
+import { AROUND_BYTES, bytesToReadAll, emptySegment, partAround, partsToDetail, partsWithin, PLOT_BYTES, segmentOf, unreadParts, withDetail, type Segment } from "./curves";
 import type { Series } from "./layout";
-import { chosenCurves, type PlotCurve } from "./plot_curves";
+import { chosenCurves, layoutCurves, type PlotCurve } from "./plot_curves";
 import { roughSegments, type FileSeries } from "./rough_curves";
 import type { SourceFile } from "./sources";
 import { useReading } from "./useReading";
@@ -51,27 +51,31 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   const previewed = shallowRef<readonly FileSeries[]>([]);
   const offered = shallowRef<readonly FieldNode[] | null>(null);
   const { failure, isReading, attempt, stop: stopReading } = useReading();
-  /** Whether the offered fields are those of a preview, which leaves some out. */
-  let isPreviewed = false;
+  /** Whether the offered fields are those of a preview, which leaves some out and has no vectors. */
+  const isPreviewed = ref(false);
   let zoomToRead: Span | null = null;
   let zoomTimer: ReturnType<typeof setTimeout> | undefined;
 
   const topic = computed(() => topics.find(({ recording, name }) => recording === series().recording && name === series().topic));
   const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
-  const curves = computed(() => (offered.value === null ? [] : chosenCurves(offered.value, series().fields, topic.value?.messageType ?? null)));
+  const curves = computed(() => {
+    if (offered.value === null) return [];
+    const { fields } = series();
+    return isPreviewed.value && fields.length > 0 ? layoutCurves(fields) : chosenCurves(offered.value, fields, topic.value?.messageType ?? null);
+  });
   const columns = computed(() => (offered.value === null ? [] : [...new Set([...curves.value.map(({ column }) => column), ...operands()])]));
   /** Of a small recording, everything is read anyway. */
   const isLarge = computed(() => files.value.reduce((sum, file) => sum + file.size_bytes, 0) > PLOT_BYTES);
   const rough = computed(() => roughSegments(previewed.value, segments.value, (timeNs) => secondsOf(clock, timeNs)));
   const unread = computed(() => files.value.flatMap((file) => unreadParts(file, segments.value)));
-  const wholeBytes = computed(() => (unread.value.length === 0 ? 0 : segments.value.reduce((sum, { wholeBytes: bytes, isCut }) => sum + (isCut ? bytes : 0), 0)));
+  const wholeBytes = computed(() => bytesToReadAll(files.value, segments.value));
 
-  async function read(file: SourceFile, part: Span, maxBytes: number, signal: AbortSignal): Promise<Segment> {
+  /** Reads a part; returns the bytes that the whole of it needs. */
+  async function read(file: SourceFile, part: Span, maxBytes: number, signal: AbortSignal): Promise<number> {
     const before = segments.value;
-    const show = (segment: Segment): Segment => {
+    const show = (segment: Segment): void => {
       if (signal.aborted) throw new ReadFailure("cancelled");
       segments.value = withDetail(before, segment, (timeNs) => secondsOf(clock, timeNs));
-      return segment;
     };
     const startSeconds = secondsOf(clock, file.span.fromNs);
     const result = await sources.curves(file, { ...series(), fields: columns.value }, { ...part, maxBytes, time: time() }, {
@@ -80,8 +84,8 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
       // What was read so far covers nothing yet: the rest stays marked as unread.
       onCurves: (drawn) => !signal.aborted && show(segmentOf(file.id, part, { ...drawn, untilNs: part.fromNs }, startSeconds)),
     });
-    if (result === null) return show(emptySegment(file.id, part));
-    return show(segmentOf(file.id, part, result.curves, secondsOf(clock, result.opened.span?.fromNs ?? file.span.fromNs)));
+    show(result === null ? emptySegment(file.id, part) : segmentOf(file.id, part, result.curves, secondsOf(clock, result.opened.span?.fromNs ?? file.span.fromNs)));
+    return result?.curves.wholeBytes ?? 0;
   }
 
   function readBeginning(): Promise<boolean> {
@@ -91,7 +95,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
       for (const file of files.value) {
         const [part] = unreadParts(file, segments.value);
         if (bytesLeft <= 0 || part === undefined) continue;
-        bytesLeft -= (await read(file, part, bytesLeft, signal)).wholeBytes;
+        bytesLeft -= await read(file, part, bytesLeft, signal);
       }
     });
   }
@@ -129,7 +133,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
       let bytesLeft = PLOT_BYTES;
       for (const file of files.value) {
         for (const part of [...partsWithin(unreadParts(file, segments.value), span), ...partsToDetail(file.id, segments.value, span)]) {
-          if (bytesLeft > 0) bytesLeft -= (await read(file, part, bytesLeft, signal)).wholeBytes;
+          if (bytesLeft > 0) bytesLeft -= await read(file, part, bytesLeft, signal);
         }
       }
     });
@@ -138,19 +142,19 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   /** Ends what is read, and learns the fields, from which the drawn ones follow: those of a preview are there first. */
   function restart(): void {
     stop();
-    [offered.value, isPreviewed] = [null, false];
+    [offered.value, isPreviewed.value] = [null, false];
     void attempt(async (signal) => {
       const names = isLarge.value ? await previewedFields(signal) : [];
       if (names.length === 0) return readFields(signal);
-      [offered.value, isPreviewed] = [names.map((path) => ({ label: path, path, children: [], hidden: 0 })), true];
+      [offered.value, isPreviewed.value] = [names.map((path) => ({ label: path, path, children: [], hidden: 0 })), true];
     });
   }
 
   /** Reads the fields that the topic offers, unless they were read. */
   async function readFields(signal: AbortSignal): Promise<void> {
-    if (offered.value !== null && !isPreviewed) return;
+    if (offered.value !== null && !isPreviewed.value) return;
     const { fields: tree } = await sources.fields(series(), { signal, priority: priority() + AFTER_MESSAGES });
-    if (!signal.aborted) [offered.value, isPreviewed] = [tree, false];
+    if (!signal.aborted) [offered.value, isPreviewed.value] = [tree, false];
   }
 
   /** Returns the fields of the first preview that has the topic. */

@@ -6,7 +6,7 @@ import { evaluatorOf, type Evaluate } from "./derivations";
 import { Stamps } from "./stamps";
 import type { Value } from "../decoding/decoder";
 import type { Message, Span } from "../formats/recording";
-import type { CurvesRequest } from "../protocol";
+import type { CurvesRequest, DamagedPart } from "../protocol";
 
 const SECOND_NS = 1e9;
 
@@ -17,6 +17,8 @@ export class CurveReading {
   private readonly collector: CurveCollector;
   private readonly stamps: Stamps | null;
   private unstamped = 0;
+  /** The end of the last damaged part, until a message behind it was added. */
+  private damagedToSeconds: number | null = null;
 
   /** `whole` is that of the recording, whose start the seconds count from; `span` is what is read. */
   constructor({ fields, time }: Pick<CurvesRequest, "fields" | "time">, private readonly whole: Span, span: Span) {
@@ -35,12 +37,19 @@ export class CurveReading {
   add(message: Message, value: Value | null): void {
     const stampNs = this.stampOf(message, value);
     const timeNs = stampNs ?? message.logTimeNs;
+    const logSeconds = this.seconds(message.logTimeNs);
     if (this.stamps !== null && stampNs === null) this.unstamped += 1;
-    this.collector.add(this.seconds(timeNs), this.evaluate(timeNs, value), this.seconds(message.logTimeNs));
+    if (this.damagedToSeconds !== null) {
+      this.evaluate(timeNs, null); // derivatives forget the previous message: others may have come after it
+      if (logSeconds > this.damagedToSeconds) this.damagedToSeconds = null;
+    }
+    this.collector.add(this.seconds(timeNs), this.evaluate(timeNs, value), logSeconds);
   }
 
-  breakAt(seconds: number): void {
-    this.collector.breakAt(seconds);
+  /** Break the curves where messages could not be read. To be called before those behind it are added. */
+  breakAt({ fromSeconds, toSeconds }: DamagedPart): void {
+    this.collector.breakAt((fromSeconds + toSeconds) / 2);
+    this.damagedToSeconds = Math.max(this.damagedToSeconds ?? toSeconds, toSeconds);
   }
 
   /** What there is so far, and how many messages have log times because their stamps cannot be used. */
