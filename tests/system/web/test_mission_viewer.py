@@ -102,6 +102,9 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
     middle_ns = (int(results["home"]) + int(results["end"])) // 2
     assert abs(int(results["clicked"]) - middle_ns) < _CLICK_NS
     assert results["added"] == ["linear_acceleration.x", "angular_velocity.x", "pose.pose.position.x"]
+    before_ns, zoomed_ns, added_ns = (int(results["zoomed"][name]) for name in ("before", "zoomed", "added"))
+    assert before_ns < (int(results["home"]) + middle_ns) / 2 < zoomed_ns
+    assert added_ns == pytest.approx(zoomed_ns, rel=0, abs=_CLICK_NS), "a further curve leaves the plot zoomed in"
     _assert_computed(results["computed"], paths, later_ns)
     assert results["log"]["lines"] == str(_LINES)
     assert results["log"]["texts"] == [f"line {number}" for number in range(_LINES)]

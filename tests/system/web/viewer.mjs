@@ -152,8 +152,32 @@ for (let number = 0; number < 20; number += 1) {
 }
 await panel(0).getByRole("button", { name: "Fields" }).click();
 await panel(0).locator("[data-series='/imu/data'] summary", { hasText: /^angular_velocity$/ }).click();
+
+/** Returns the time at a place of the plot, from 0 to 1. While the page has its new size and colours, the plot is made anew. */
+async function timeAtPointer(share) {
+  await page.mouse.move(0, 0);
+  await panel(0).locator("[data-plot][data-messages]").waitFor();
+  for (let number = 0; number < 60 && (await panel(0).locator("[data-pointer]").count()) === 0; number += 1) {
+    const box = await panel(0).locator(".u-over").boundingBox();
+    await page.mouse.move(box.x + box.width * share, box.y + box.height / 2 + (number % 2));
+    await page.waitForTimeout(250);
+  }
+  return panel(0).locator("[data-pointer]").getAttribute("data-pointer");
+}
+
+// What is zoomed in stays so when a curve is added: a tenth from the left is not near the start.
+results.zoomed = { before: await timeAtPointer(0.1) };
+for (let number = 0; number < 10 && BigInt(await timeAtPointer(0.1)) < (BigInt(results.home) + middle) / 2n; number += 1) {
+  const box = await panel(0).locator(".u-over").boundingBox();
+  await page.mouse.move(box.x + box.width * 0.4, box.y + box.height / 2);
+  await page.mouse.down();
+  await page.mouse.move(box.x + box.width * 0.6, box.y + box.height / 2, { steps: 4 });
+  await page.mouse.up();
+}
+results.zoomed.zoomed = await timeAtPointer(0.1);
 await panel(0).locator("[data-field='angular_velocity.x']").click();
 await panel(0).locator("[data-field-value='angular_velocity.x']").waitFor();
+results.zoomed.added = await timeAtPointer(0.1);
 results.added = (await plotOf(0)).values.map(([field]) => field);
 
 // Computed curves on two axes, over log times and those of headers; the same by a link; values at the pointer.
@@ -173,13 +197,8 @@ await goTo(["computed"], laterNs);
 results.computed = { logged: await computedPlot() };
 await checkPage(page, "viewer-computed");
 const [span, now] = [BigInt(results.end) - BigInt(results.home), BigInt(laterNs) - BigInt(results.home)];
-// Beside the play head, where the messages were read. While the page has its new size and colours, the plot is made anew.
-for (let number = 0; number < 60 && (await panel(0).locator("[data-pointer]").count()) === 0; number += 1) {
-  const box = await panel(0).locator(".u-over").boundingBox();
-  await page.mouse.move(box.x + box.width * (Number(now - 800_000_000n) / Number(span)), box.y + box.height / 2 + (number % 2));
-  await page.waitForTimeout(250);
-}
-results.computed.pointer = { timeNs: await panel(0).locator("[data-pointer]").getAttribute("data-pointer"), values: (await plotOf(0)).values };
+// Beside the play head, where the messages were read.
+results.computed.pointer = { timeNs: await timeAtPointer(Number(now - 800_000_000n) / Number(span)), values: (await plotOf(0)).values };
 await page.mouse.move(0, 0);
 await goTo(["header"], laterNs);
 results.computed.stamped = await computedPlot();
