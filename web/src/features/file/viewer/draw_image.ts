@@ -8,11 +8,18 @@ export function rangeOf(image: Image): Range | null {
   return "values" in image ? image.range : null;
 }
 
-/** Draws a picture on a canvas, which takes its size. `table`: 256 colours for values of the range. */
-export function drawImage(canvas: HTMLCanvasElement, image: Image, range: Range | null, table: Uint8Array): void {
-  canvas.width = image.width;
-  canvas.height = image.height;
+/** Returns the pixels of a picture, null where there are none. `table`: 256 colours for values of the range. */
+export function pixelsOf(image: Image, range: Range | null, table: Uint8Array): ImageBitmap | ImageData | null {
+  if (!("values" in image)) return image;
+  return range === null ? null : new ImageData(coloured(image, range, table), image.width, image.height);
+}
+
+/** Draws pixels on a canvas, which takes the size of their picture. */
+export function drawPixels(canvas: HTMLCanvasElement, { width, height }: Pick<Image, "width" | "height">, pixels: ImageBitmap | ImageData | null): void {
+  canvas.width = width;
+  canvas.height = height;
   const context = canvas.getContext("2d");
-  if (!("values" in image)) context?.drawImage(image, 0, 0);
-  else if (range !== null) context?.putImageData(new ImageData(coloured(image, range, table), image.width, image.height), 0, 0);
+  if (pixels === null) return;
+  if ("data" in pixels) context?.putImageData(pixels, 0, 0);
+  else context?.drawImage(pixels, 0, 0);
 }
