@@ -1,4 +1,4 @@
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, vi } from "vitest";
 import { edgesAt, frameRows, relativePose, rollPitchYaw, type TransformMessage } from "./frame_tree";
 import type { Quaternion } from "@/recordings/geometry/poses";
 
@@ -39,6 +39,12 @@ describe("the tree of frames", () => {
     expect(rows.get("tool")?.depth).toBe(1);
     expect(relativePose(edges, "world", "base")).toMatchObject({ reason: "not_connected" });
     expect(relativePose(edges, "a", "c")).toMatchObject({ reason: "loop" });
+  });
+
+  it("writes no text for each transform: the tree is made for each frame of the picture", () => {
+    const written = vi.spyOn(JSON, "stringify");
+    expect(edgesAt([message(1, [["a", "b c", 0], ["a b", "c", 0], ["a", "b c", 1]])], 1n)).toHaveLength(2);
+    expect(written).not.toHaveBeenCalled();
   });
 
   it("is bounded, and deep trees do not exhaust the stack", () => {

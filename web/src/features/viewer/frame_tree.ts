@@ -34,17 +34,19 @@ export const MAX_EDGES = 5_000;
 
 /** Returns the latest transform of each pair of frames at a time, in order of time. Static ones are valid at all times. */
 export function edgesAt(messages: readonly TransformMessage[], timeNs: bigint): FrameEdge[] {
-  const edges = new Map<string, FrameEdge>();
-  for (const message of messages) {
-    if (!message.isStatic && message.timeNs > timeNs) continue;
-    for (const transform of message.transforms) {
-      const key = JSON.stringify([transform.parent, transform.child]);
-      const known = edges.get(key);
-      if (known === undefined ? edges.size >= MAX_EDGES : known.timeNs > message.timeNs) continue;
-      edges.set(key, { transform, timeNs: message.timeNs, isStatic: message.isStatic });
+  const byParent = new Map<string, Map<string, FrameEdge>>();
+  let count = 0;
+  for (const { timeNs: ownNs, isStatic, transforms } of messages) {
+    if (!isStatic && ownNs > timeNs) continue;
+    for (const transform of transforms) {
+      const edges = byParent.get(transform.parent) ?? new Map<string, FrameEdge>();
+      const known = edges.get(transform.child);
+      if (known === undefined ? count >= MAX_EDGES : known.timeNs > ownNs) continue;
+      if (known === undefined) count += 1;
+      byParent.set(transform.parent, edges.set(transform.child, { transform, timeNs: ownNs, isStatic }));
     }
   }
-  return [...edges.values()].toSorted((a, b) => (a.timeNs < b.timeNs ? -1 : 1));
+  return [...byParent.values()].flatMap((edges) => [...edges.values()]).toSorted((a, b) => (a.timeNs < b.timeNs ? -1 : 1));
 }
 
 /** Returns the rows of the tree from the roots on. A frame is below its latest parent; a loop begins at its first name. */

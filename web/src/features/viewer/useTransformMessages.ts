@@ -2,6 +2,7 @@
 import { onScopeDispose, ref, shallowRef, watch, type Ref } from "vue";
 import type { TransformMessage } from "./frame_tree";
 import type { Series } from "./layout";
+import { readPages } from "./scene/pages";
 import { useViewer } from "./viewer";
 import { latest } from "@/features/file/viewer/useReader";
 import { failureOf, type ReadFailure } from "@/recordings/failures";
@@ -20,7 +21,6 @@ const BEFORE_NS = [10_000_000_000n, 1_000_000_000n, 100_000_000n] as const;
 const BEHIND_NS = 1_000_000_000n;
 const PAGE_MESSAGES = 2_000;
 const PAGE_BYTES = 4 * 2 ** 20;
-const MAX_PAGES = 4;
 const MAX_STATIC_MESSAGES = 1_000;
 /** What remains in memory while the play head moves forward. */
 const MAX_MESSAGES = 10_000;
@@ -44,27 +44,19 @@ export function useTransformMessages(series: () => readonly Series[], priority: 
   }
 
   /** Reads messages of a part of the time; returns them, and up to where. */
-  async function readTopic(source: Series, part: Span, maxPages: number, signal: AbortSignal): Promise<{ messages: TransformMessage[]; untilNs: bigint }> {
+  async function readTopic(source: Series, { fromNs, toNs }: Span, signal: AbortSignal): Promise<{ messages: TransformMessage[]; untilNs: bigint }> {
     const result: TransformMessage[] = [];
     const isStatic = isStaticTopic(source.topic);
-    let pages = 0;
-    for (const file of sources.filesOf(source)) {
-      let fromNs = file.span.fromNs > part.fromNs ? file.span.fromNs : part.fromNs;
-      const toNs = file.span.toNs < part.toNs ? file.span.toNs : part.toNs;
-      for (; fromNs <= toNs; pages += 1) {
-        if (pages >= maxPages) return { messages: result, untilNs: fromNs - 1n };
-        const request = { product: "transforms", fromNs, toNs, maxMessages: PAGE_MESSAGES, maxBytes: PAGE_BYTES } as const;
-        const answer = await sources.messages(file, source, request, { signal, priority: priority() + AFTER_MESSAGES });
-        result.push(...(answer?.messages ?? []).map(({ logTimeNs, product }) => ({ timeNs: logTimeNs, isStatic, transforms: product ?? [] })));
-        fromNs = (answer?.untilNs ?? toNs) + 1n;
-      }
-    }
-    return { messages: result, untilNs: part.toNs };
+    const request = { product: "transforms", fromNs, toNs, maxMessages: PAGE_MESSAGES, maxBytes: PAGE_BYTES } as const;
+    const untilNs = await readPages(sources, source, request, { signal, priority: priority() + AFTER_MESSAGES }, ({ logTimeNs, product }) => {
+      result.push({ timeNs: logTimeNs, isStatic, transforms: product ?? [] });
+    });
+    return { messages: result, untilNs };
   }
 
   async function readStatic(signal: AbortSignal): Promise<TransformMessage[]> {
     const all: TransformMessage[] = [];
-    for (const source of staticSeries()) all.push(...(await readTopic(source, clock.span, MAX_PAGES, signal)).messages);
+    for (const source of staticSeries()) all.push(...(await readTopic(source, clock.span, signal)).messages);
     return all.slice(-MAX_STATIC_MESSAGES);
   }
 
@@ -73,7 +65,7 @@ export function useTransformMessages(series: () => readonly Series[], priority: 
     const all: TransformMessage[] = [];
     let { toNs } = part;
     for (const source of series().filter(({ topic }) => !isStaticTopic(topic))) {
-      const answer = await readTopic(source, part, MAX_PAGES, signal);
+      const answer = await readTopic(source, part, signal);
       all.push(...answer.messages);
       if (answer.untilNs < toNs) toNs = answer.untilNs;
     }
