@@ -29,6 +29,7 @@ export async function checkVideoSupport(format: VideoFormat, codec: string): Pro
 
 export class FrameDecoder {
   private readonly decoder: VideoDecoder;
+  /** Stays open until there is another one, since several panels may show it. */
   private latest: VideoFrame | null = null;
   private failure: ReadFailure | null = null;
   private number = 0;
@@ -46,6 +47,7 @@ export class FrameDecoder {
    * @throws ReadFailure picture_unreadable, picture_too_large; then the decoder must be closed. What `check` throws.
    */
   async decode(frames: readonly CodedFrame[], check: () => void): Promise<ImageBitmap> {
+    this.forget();
     for (const { data, isKey } of frames) {
       while (this.decoder.decodeQueueSize >= MAX_QUEUE && this.failure === null) await this.change();
       check();
@@ -57,14 +59,21 @@ export class FrameDecoder {
     return this.picture();
   }
 
+  /** Return the picture of the last frame again. @throws ReadFailure picture_unreadable, picture_too_large. */
+  async picture(): Promise<ImageBitmap> {
+    const { failure, latest } = this;
+    if (failure !== null || latest === null) throw failure ?? new ReadFailure("picture_unreadable", this.codec);
+    checkSize(latest.displayWidth, latest.displayHeight);
+    return createImageBitmap(latest);
+  }
+
   /** Whether the next frame must be a key frame. */
   get isAtEnd(): boolean {
     return this.isFlushed || this.failure !== null;
   }
 
   close(): void {
-    this.latest?.close();
-    this.latest = null;
+    this.forget();
     if (this.decoder.state !== "closed") this.decoder.close();
   }
 
@@ -78,23 +87,13 @@ export class FrameDecoder {
     }
   }
 
-  private async picture(): Promise<ImageBitmap> {
-    const { failure, latest } = this;
+  private forget(): void {
+    this.latest?.close();
     this.latest = null;
-    if (failure !== null || latest === null) {
-      latest?.close();
-      throw failure ?? new ReadFailure("picture_unreadable", this.codec);
-    }
-    try {
-      checkSize(latest.displayWidth, latest.displayHeight);
-      return await createImageBitmap(latest);
-    } finally {
-      latest.close();
-    }
   }
 
   private receive(frame: VideoFrame): void {
-    this.latest?.close();
+    this.forget();
     this.latest = frame;
     this.wake();
   }

@@ -119,12 +119,12 @@ describe("a video", () => {
   });
   afterEach(() => vi.unstubAllGlobals());
 
-  it("is decoded from the last key frame on, with a bounded queue, and every frame is closed", async () => {
+  it("is decoded from the last key frame on, with a bounded queue, and every frame but the shown one is closed", async () => {
     const shown = await at(await opened(), 45);
     expect(shown?.logTimeNs).toBe(timeOf(45));
     expect(shown?.product).toMatchObject({ image: { timestamp: 36 }, width: 4, height: 2, encoding: "vp9", stampSeconds: 45.000000001 });
     expect(Decoder.made.map(({ types }) => types)).toEqual([["key", ...Array<string>(35).fill("delta")]]);
-    expect([Decoder.openFrames, Decoder.longestQueue]).toEqual([0, 8]);
+    expect([Decoder.openFrames, Decoder.longestQueue]).toEqual([1, 8]);
   });
 
   it("goes on with the frames behind, and begins anew where it goes back or far", async () => {
@@ -134,12 +134,19 @@ describe("a video", () => {
     expect(Decoder.made.map(({ state }) => state)).toEqual(["closed", "closed", "configured"]);
   });
 
+  it("decodes a frame once that two panels show", async () => {
+    const session = await opened();
+    for (const number of [12, 12, 13, 13]) expect((await at(session, number))?.product).toMatchObject({ image: { timestamp: number - 9 } });
+    expect(Decoder.made.map(({ types }) => types)).toEqual([["key", "delta", "delta", "delta"]]);
+    expect(Decoder.openFrames).toBe(1);
+  });
+
   it("gets the picture of a decoder that waits for further frames", async () => {
     Decoder.isDelayed = true;
     const session = await opened();
     expect((await at(session, 12))?.product).toMatchObject({ image: { timestamp: 3 } });
     expect((await at(session, 13))?.product).toMatchObject({ image: { timestamp: 4 } });
-    expect([Decoder.made.length, Decoder.openFrames]).toEqual([2, 0]);
+    expect([Decoder.made.length, Decoder.openFrames]).toEqual([2, 1]);
   });
 
   it("closes a decoder that is not used", async () => {
@@ -152,6 +159,7 @@ describe("a video", () => {
     expect(Decoder.made.map(({ state }) => state)).toEqual(["configured"]);
     await vi.advanceTimersByTimeAsync(2_000);
     expect(Decoder.made.map(({ state }) => state)).toEqual(["closed"]);
+    expect(Decoder.openFrames).toBe(0);
     await at(session, 14);
     expect(Decoder.made).toHaveLength(2);
     vi.useRealTimers();

@@ -54,12 +54,21 @@ export class VideoReader {
     try {
       const value = this.decode(message);
       const format = formatOf(value);
-      const image = (await this.continued(topic, format, logTimeNs)) ?? (await this.fromKeyFrame(topic, format, logTimeNs));
+      const image = (await this.again(topic, logTimeNs)) ?? (await this.continued(topic, format, logTimeNs)) ?? (await this.fromKeyFrame(topic, format, logTimeNs));
       return { image, width: image.width, height: image.height, encoding: format, stampSeconds: stampOf(value) };
     } catch (thrown) {
       this.end(topic);
       throw thrown;
     }
+  }
+
+  /** The picture of the frame that was decoded last, which another panel shows; null for another frame. */
+  private async again(topic: string, timeNs: bigint): Promise<ImageBitmap | null> {
+    const running = this.running.get(topic);
+    if (running?.untilNs !== timeNs) return null;
+    const picture = await running.decoder.picture();
+    this.closeLater(topic, running);
+    return picture;
   }
 
   /** Decode the frames behind those that are decoded; null where the decoder cannot go on, or the codec changes. */
@@ -95,8 +104,12 @@ export class VideoReader {
     this.running.set(topic, running); // as the youngest
     for (const oldest of [...this.running.keys()].slice(0, -MAX_DECODERS)) this.end(oldest);
     const picture = await decoder.decode(frames.map(({ data, codec }) => ({ data, isKey: codec !== null })), () => this.check());
-    running.closing = setTimeout(() => this.end(topic), CLOSE_AFTER_MS);
+    this.closeLater(topic, running);
     return picture;
+  }
+
+  private closeLater(topic: string, running: Running): void {
+    running.closing = setTimeout(() => this.end(topic), CLOSE_AFTER_MS);
   }
 
   /** The frames of a part of the time, up to the limits. @throws ReadFailure video_no_key_frame, where it needs more; damage. */
