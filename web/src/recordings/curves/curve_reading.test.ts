@@ -2,7 +2,10 @@ import { parse } from "@foxglove/rosmsg";
 import { MessageWriter as Ros1Writer } from "@foxglove/rosmsg-serialization";
 import { MessageWriter as Ros2Writer } from "@foxglove/rosmsg2-serialization";
 import { expect, it } from "vitest";
+import { CurveReading } from "./curve_reading";
 import { openRecording } from "../formats/open";
+import type { Message } from "../formats/recording";
+import { MAX_DAMAGED } from "../limits";
 import type { CurvesRequest } from "../protocol";
 import { Session } from "../session";
 import { madeBag, madeMcap, storeOf } from "../testing/recordings";
@@ -72,4 +75,21 @@ it.each([["missing", () => 0n], ["of another clock", (number: number) => logTime
   const { seconds, unstamped } = await curves("mcap", await mcap("cdr", stamp), { time: "header" });
   expect(unstamped).toBe(COUNT);
   expect(seconds[7]).toBe(Number(7n * STEP_NS) / 1e9);
+});
+
+/** Returns the derivatives of x = 3 t at the seconds 0 to 9, of which some parts are damaged. All are known at first. */
+function derivatives(damaged: readonly (readonly [fromSeconds: number, toSeconds: number])[]): (number | null | undefined)[] {
+  const span = { fromNs: 0n, toNs: 9_000_000_000n };
+  const reading = new CurveReading({ fields: ["derivative(x)"], time: "log" }, span, span);
+  for (const [fromSeconds, toSeconds] of damaged) reading.breakAt({ fromSeconds, toSeconds });
+  for (let second = 0; second < 10; second += 1) reading.add({ logTimeNs: BigInt(second) * 1_000_000_000n } as Message, { x: 3 * second });
+  const { seconds, values } = reading.curves();
+  return Array.from({ length: 10 }, (_, second) => values[0]?.[seconds.indexOf(second)]);
+}
+
+it("has no derivative over damaged parts, but before, between and behind them", () => {
+  expect(derivatives([])).toEqual([null, 3, 3, 3, 3, 3, 3, 3, 3, 3]);
+  expect(derivatives([[2.2, 2.8], [6.1, 7.9]])).toEqual([null, 3, 3, null, 3, 3, 3, null, null, 3]);
+  const many = Array.from({ length: 2 * MAX_DAMAGED }, (_, part) => [5.1 + part / 1_000, 5.101 + part / 1_000] as const);
+  expect(derivatives([...many, [7.1, 7.2]])).toEqual([null, 3, 3, 3, 3, 3, null, null, null, 3]); // the last ones are joined
 });

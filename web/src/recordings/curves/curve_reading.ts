@@ -6,6 +6,7 @@ import { evaluatorOf, type Evaluate } from "./derivations";
 import { Stamps } from "./stamps";
 import type { Value } from "../decoding/decoder";
 import type { Message, Span } from "../formats/recording";
+import { MAX_DAMAGED } from "../limits";
 import type { CurvesRequest, DamagedPart } from "../protocol";
 
 const SECOND_NS = 1e9;
@@ -17,8 +18,9 @@ export class CurveReading {
   private readonly collector: CurveCollector;
   private readonly stamps: Stamps | null;
   private unstamped = 0;
-  /** The end of the last damaged part, until a message behind it was added. */
-  private damagedToSeconds: number | null = null;
+  /** Damaged parts that a later message may have before it. */
+  private damaged: DamagedPart[] = [];
+  private previousLogSeconds = -Infinity;
 
   /** `whole` is that of the recording, whose start the seconds count from; `span` is what is read. */
   constructor({ fields, time }: Pick<CurvesRequest, "fields" | "time">, private readonly whole: Span, span: Span) {
@@ -31,6 +33,7 @@ export class CurveReading {
   /** Note the message before the first, which is not drawn. */
   begin(message: Message, value: Value | null): void {
     this.evaluate(this.stampOf(message, value) ?? message.logTimeNs, value);
+    this.previousLogSeconds = this.seconds(message.logTimeNs);
   }
 
   /** Add a message; `value` is null where it is damaged. */
@@ -39,22 +42,31 @@ export class CurveReading {
     const timeNs = stampNs ?? message.logTimeNs;
     const logSeconds = this.seconds(message.logTimeNs);
     if (this.stamps !== null && stampNs === null) this.unstamped += 1;
-    if (this.damagedToSeconds !== null) {
-      this.evaluate(timeNs, null); // derivatives forget the previous message: others may have come after it
-      if (logSeconds > this.damagedToSeconds) this.damagedToSeconds = null;
-    }
+    if (this.isDamagedBefore(logSeconds)) this.evaluate(timeNs, null); // derivatives forget the message before the part
     this.collector.add(this.seconds(timeNs), this.evaluate(timeNs, value), logSeconds);
   }
 
   /** Break the curves where messages could not be read. To be called before those behind it are added. */
   breakAt({ fromSeconds, toSeconds }: DamagedPart): void {
     this.collector.breakAt((fromSeconds + toSeconds) / 2);
-    this.damagedToSeconds = Math.max(this.damagedToSeconds ?? toSeconds, toSeconds);
+    // Beyond the limit, parts are joined.
+    const [last] = this.damaged.splice(MAX_DAMAGED - 1);
+    this.damaged.push({ fromSeconds: Math.min(fromSeconds, last?.fromSeconds ?? Infinity), toSeconds: Math.max(toSeconds, last?.toSeconds ?? -Infinity) });
   }
 
   /** What there is so far, and how many messages have log times because their stamps cannot be used. */
   curves(): Curves & { unstamped: number } {
     return { ...this.collector.curves(), unstamped: this.unstamped };
+  }
+
+  /** Whether a part between the previous message and this one could not be read. */
+  private isDamagedBefore(logSeconds: number): boolean {
+    const previous = this.previousLogSeconds;
+    this.previousLogSeconds = logSeconds;
+    if (this.damaged.length === 0) return false;
+    const isDamaged = this.damaged.some(({ fromSeconds, toSeconds }) => fromSeconds < logSeconds && toSeconds >= previous);
+    this.damaged = this.damaged.filter(({ toSeconds }) => toSeconds >= logSeconds);
+    return isDamaged;
   }
 
   private stampOf(message: Message, value: Value | null): bigint | null {
