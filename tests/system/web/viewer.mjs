@@ -150,8 +150,17 @@ for (let number = 0; number < 20; number += 1) {
   const distance = BigInt(results.clicked) - middle;
   if (distance < 50_000_000n && distance > -50_000_000n) break;
 }
-await panel(0).getByRole("button", { name: "Fields" }).click();
-await panel(0).locator("[data-series='/imu/data'] summary", { hasText: /^angular_velocity$/ }).click();
+async function addAngularVelocity() {
+  await panel(0).locator("[data-field='angular_velocity.x']").click();
+  await panel(0).locator("[data-field-value='angular_velocity.x']").waitFor();
+}
+async function openFields() {
+  await panel(0).getByRole("button", { name: "Fields" }).click();
+  await panel(0).locator("[data-series='/imu/data'] summary", { hasText: /^angular_velocity$/ }).click();
+}
+await openFields();
+await addAngularVelocity();
+results.added = (await plotOf(0)).values.map(([field]) => field);
 
 /** Returns the time at a place of the plot, from 0 to 1. While the page has its new size and colours, the plot is made anew. */
 async function timeAtPointer(share) {
@@ -165,7 +174,9 @@ async function timeAtPointer(share) {
   return panel(0).locator("[data-pointer]").getAttribute("data-pointer");
 }
 
-// What is zoomed in stays so when a curve is added: a tenth from the left is not near the start.
+// What is zoomed in stays so when a curve is added, for which all are read again. A tenth from the left is not near the start.
+await goTo(["plot"], laterNs);
+await openFields();
 results.zoomed = { before: await timeAtPointer(0.1) };
 for (let number = 0; number < 10 && BigInt(await timeAtPointer(0.1)) < (BigInt(results.home) + middle) / 2n; number += 1) {
   const box = await panel(0).locator(".u-over").boundingBox();
@@ -175,10 +186,8 @@ for (let number = 0; number < 10 && BigInt(await timeAtPointer(0.1)) < (BigInt(r
   await page.mouse.up();
 }
 results.zoomed.zoomed = await timeAtPointer(0.1);
-await panel(0).locator("[data-field='angular_velocity.x']").click();
-await panel(0).locator("[data-field-value='angular_velocity.x']").waitFor();
+await addAngularVelocity();
 results.zoomed.added = await timeAtPointer(0.1);
-results.added = (await plotOf(0)).values.map(([field]) => field);
 
 // Computed curves on two axes, over log times and those of headers; the same by a link; values at the pointer.
 async function computedPlot() {
