@@ -54,6 +54,19 @@ it("reads the track of a topic with fixes, not that of poses", async () => {
   expect(await preview.track("/none")).toBeNull();
 });
 
+it("reads the clouds of a topic one by one", async () => {
+  const reads: number[] = [];
+  const preview = await PreviewFile.open(sourceOf(BYTES, reads));
+  const afterIndex = reads.length;
+  expect(preview.cloudTimes("/lidar")).toEqual([START_NS, START_NS + 2n]);
+  expect(preview.cloudTimes("/none")).toEqual([]);
+  expect(reads.length).toBe(afterIndex);
+  expect(await preview.cloud("/lidar", START_NS)).toEqual({ timeNs: START_NS, frame: "lidar", totalPoints: 100_000, xyz: Float32Array.of(1, 2, 3, -1.5, 0, 0.25) });
+  expect(reads.length - afterIndex).toBe(1);
+  expect((await preview.cloud("/radar", START_NS + 1n))?.xyz.length).toBe(0);
+  expect(await preview.cloud("/lidar", START_NS + 1n)).toBeNull();
+});
+
 it("reads the lines of a topic", async () => {
   const preview = await PreviewFile.open(sourceOf(BYTES));
   expect(await preview.lines("/rosout")).toEqual([

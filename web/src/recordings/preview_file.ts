@@ -5,6 +5,7 @@
  */
 
 import { ReadFailure } from "./failures";
+import { MAX_POINTS } from "./limits";
 import type { ByteSource } from "./ranges";
 
 const MAGIC = "KLPREV1\n";
@@ -52,6 +53,16 @@ export interface PreviewLine {
 export interface PreviewCamera {
   readonly topic: string;
   readonly thumbnails: readonly { readonly timeNs: bigint; readonly width: number; readonly height: number; readonly jpeg: Blob }[];
+}
+
+/** Some points of a cloud. */
+export interface PreviewCloud {
+  readonly timeNs: bigint;
+  readonly frame: string;
+  /** Points of the whole cloud. */
+  readonly totalPoints: number;
+  /** x, y, z of each point in metres, which may not be finite. */
+  readonly xyz: Float32Array;
 }
 
 export class PreviewFile {
@@ -131,6 +142,24 @@ export class PreviewFile {
       return { timeNs: timeOf(time_ns), width: natural(width), height: natural(height), jpeg: new Blob([bytes], { type: "image/jpeg" }) };
     });
     return { topic, thumbnails };
+  }
+
+  /** Return the log times of the clouds of a topic, in order. */
+  cloudTimes(topic: string): readonly bigint[] {
+    return this.cloudsOf(topic).map(({ time_ns }) => timeOf(time_ns)).toSorted((a, b) => (a < b ? -1 : 1));
+  }
+
+  /** Return a cloud by its topic and log time; null where the preview has none of it. */
+  async cloud(topic: string, timeNs: bigint): Promise<PreviewCloud | null> {
+    const entry = this.cloudsOf(topic).find(({ time_ns }) => timeOf(time_ns) === timeNs);
+    if (entry === undefined) return null;
+    const xyz = Float32Array.from(await this.numbers(entry.xyz));
+    if (xyz.length % 3 !== 0 || xyz.length > 3 * MAX_POINTS) throw damaged("a cloud of this size");
+    return { timeNs, frame: String(entry.frame_id), totalPoints: natural(entry.count), xyz };
+  }
+
+  private cloudsOf(topic: string): Entry[] {
+    return entries(this.index.clouds).filter((cloud) => cloud.topic === topic);
   }
 
   private async field(entry: Entry | undefined, bins: number): Promise<PreviewField | null> {

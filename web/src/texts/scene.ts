@@ -21,6 +21,7 @@ export const texts = {
   drawnPoints: (count: number) => counted(count, "point"),
   drawnItems: (count: number) => counted(count, "object"),
   nothing: "nothing",
+  roughCloud: (time: string) => `Thinned cloud of the preview, at ${time}`,
   inFrame: (frame: string) => (frame === "" ? "" : `Frame ${frame}`),
 
   colourOf: (topic: string) => `Colour of ${topic}`,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kleinkram.recordings.decoding import DecodeError, points
 from kleinkram.recordings.decoding.values import part, type_name
@@ -26,11 +27,33 @@ def thinned_cloud(value: object, topic: str, time_ns: int) -> ThinnedCloud:
         raise DecodeError(type_name(value), "its points have no x, y and z")
     candidates = cloud[:: max(1, -(-len(cloud) // _CANDIDATES))]
     with np.errstate(over="ignore", invalid="ignore"):
-        xyz = np.stack([candidates[axis].astype(np.float32) for axis in "xyz"], axis=1)
+        xyz = np.stack([candidates[axis].astype(np.float64) for axis in "xyz"], axis=1)
+        xyz = _in_frame(xyz, part(value, "pose")).astype(np.float32)
     xyz = xyz[np.isfinite(xyz).all(axis=1)]
     xyz = np.ascontiguousarray(xyz[:: max(1, -(-len(xyz) // MAX_POINTS))])
     frame_id = str(part(part(value, "header"), "frame_id") or part(value, "frame_id") or "")
     return ThinnedCloud(topic, time_ns, _text(frame_id), len(cloud), xyz)
+
+
+def _in_frame(xyz: NDArray[np.float64], pose: object) -> NDArray[np.float64]:
+    """Return points in the frame of their message, in which clouds of Foxglove have a pose.
+
+    Source: B. Siciliano et al., "Robotics: Modelling, Planning and Control", section 2.6 (unit quaternions).
+    """
+    try:
+        position, axis, (scalar,) = (
+            np.array([float(part(part(pose, name), component)) for component in components])
+            for name, components in (("position", "xyz"), ("orientation", "xyz"), ("orientation", "w"))
+        )
+    except (TypeError, ValueError, OverflowError):
+        return xyz  # without a pose, or with one that is not usable
+    length = float(np.sqrt(axis @ axis + scalar * scalar))
+    if not np.isfinite(length) or not np.isfinite(position).all():
+        return xyz
+    if length == 0:  # left unset
+        return xyz + position
+    turn = 2 * np.cross(axis / length, xyz)
+    return xyz + scalar / length * turn + np.cross(axis / length, turn) + position
 
 
 def _text(text: str) -> str:

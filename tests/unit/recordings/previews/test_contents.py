@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import math
@@ -234,6 +235,35 @@ def test_clouds_are_thinned_evenly_without_what_is_not_finite() -> None:
     assert 0 < len(thin.xyz) <= 5_000
     assert np.isfinite(thin.xyz).all()
     assert (thin.xyz[:, 1] - thin.xyz[:, 0] == 1).all()
+
+
+_QUARTER = math.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "expected"),
+    [
+        ({"x": 0, "y": 0, "z": _QUARTER, "w": _QUARTER}, [[8.0, 21.0, 33.0]]),  # a quarter turn to the left
+        ({"x": 0, "y": 0, "z": 0, "w": 0}, [[11.0, 22.0, 33.0]]),
+        ({"x": "east"}, [[1.0, 2.0, 3.0]]),
+    ],
+)
+def test_clouds_with_a_pose_are_in_the_frame_of_their_message(orientation: object, expected: list[list[float]]) -> None:
+    message = {
+        "frame_id": "base",
+        "pose": {"position": {"x": 10, "y": 20, "z": 30}, "orientation": orientation},
+        "point_stride": 12,
+        "fields": [{"name": axis, "offset": 4 * place, "type": 7} for place, axis in enumerate("xyz")],
+        "data": base64.b64encode(np.array([1, 2, 3], "<f4").tobytes()).decode(),
+    }
+    out = io.BytesIO()
+    writer = McapWriter(out)
+    channel = writer.add_channel("/cloud", writer.add_schema("foxglove.PointCloud", "jsonschema", b"{}"), "json")
+    writer.add_message(channel, T0, json.dumps(message).encode())
+    writer.finish()
+    (thin,) = preview_of(MemorySource(out.getvalue())).clouds
+    assert thin.frame_id == "base"
+    np.testing.assert_allclose(thin.xyz, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize(

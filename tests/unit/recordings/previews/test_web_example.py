@@ -14,6 +14,7 @@ from kleinkram.recordings.previews.model import (
     LogSeverity,
     PositionTrack,
     RecordingPreview,
+    ThinnedCloud,
     Thumbnail,
     TopicSeries,
     TrackKind,
@@ -56,7 +57,11 @@ def _example() -> RecordingPreview:
             LogLine(_START_NS + 5, "/rosout", LogSeverity.error, "driver", "über limit"),
         ),
         log_line_count=7,
-        clouds=(),
+        clouds=(
+            ThinnedCloud("/lidar", _START_NS, "lidar", 100_000, np.array([[1, 2, 3], [-1.5, 0, 0.25]], np.float32)),
+            ThinnedCloud("/lidar", _START_NS + 2, "lidar", 7, np.array([[4, 5, np.nan]], np.float32)),
+            ThinnedCloud("/radar", _START_NS + 1, "radar", 0, np.empty((0, 3), np.float32)),
+        ),
         left_out=(),
         read_spans=np.array(
             [[_START_NS, _START_NS + 1_900_000_000], [_START_NS + 2_000_000_000, _START_NS + 3_900_000_000]]

@@ -17,6 +17,8 @@ export interface TopicContent {
   readonly messages: readonly TimedScene[];
   readonly markers: readonly Marker[];
   readonly colourBy: string | null;
+  /** Whether a preview gives what is shown instead of the messages. */
+  readonly isRough: boolean;
 }
 
 /** Something visible. `item` identifies it: it is drawn once and only moved afterwards. */

@@ -22,7 +22,7 @@ function pointSet(values: readonly number[]): PointSet {
 
 function content(frame: string, stampSeconds: number | null, markers: readonly Marker[] = []): TopicContent {
   const scene = { frame, stampSeconds, content: { kind: "points", points: pointSet([1]), pose: IDENTITY } } as const;
-  return { topic: "/points", messages: [{ logTimeNs: 20_000_000_000n, logSeconds: 20, scene }], markers, colourBy: null };
+  return { topic: "/points", messages: [{ logTimeNs: 20_000_000_000n, logSeconds: 20, scene }], markers, colourBy: null, isRough: false };
 }
 
 function at(x: number): Pose {
