@@ -1,23 +1,34 @@
 // 3D panels: opens recordings with points, transforms and markers, and reads what the panels say that they show.
 // Prints the results as JSON. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's
-// address, the folder for pictures, and as JSON the panels: [{ name, file, time, series: ["/topic"], points }].
+// address, the folder for pictures, and as JSON the panels: [{ name, file, time, series: ["/topic"], points }], and one
+// more, for which the store holds the recording back, and then refuses it.
 import { openBrowser } from "./browsing.mjs";
 
-const [web, executablePath, link, address, pictures, json] = process.argv.slice(2);
+const [web, executablePath, link, address, pictures, json, late] = process.argv.slice(2);
 const KEY_LENGTH = 8;
 const { results, openPage, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
-const { page } = await openPage();
+let isRefused = false;
+const { page } = await openPage(() => isRefused);
 results.views = {};
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
 const scene = page.locator("[data-scene]");
 
-/** Opens a 3D panel and waits until all topics and the expected points are shown. */
-async function open({ file, time, series, points }) {
+/** Opens a 3D panel. */
+async function go({ file, time, series }) {
   const key = file.slice(0, KEY_LENGTH);
   const panel = `scene*:${series.map((topic) => `${key}@${topic}`).join(";")}`;
   await page.goto(`${address}/files/${file}/view?${new URLSearchParams({ ...(time ? { t: time } : {}), p: panel })}`);
+}
+
+/** Opens a 3D panel and waits until all topics and the expected points are shown. */
+async function open(view) {
+  await go(view);
+  await isShown(view);
+}
+
+async function isShown({ series, points }) {
   await page.waitForFunction((count) => document.querySelectorAll("[data-scene-topic][data-log-time]").length === count, series.length);
   await page.locator(`[data-drawn-points="${points}"]`).waitFor();
 }
@@ -39,6 +50,34 @@ async function colours(canvas) {
     context.drawImage(bitmap, 0, 0);
     return new Set(new Uint32Array(context.getImageData(0, 0, bitmap.width, bitmap.height).data.buffer)).size;
   }, bytes);
+}
+
+/** Shows the cloud of the preview before the recorded one, and instead of it. */
+async function showLate(view) {
+  const preview = new URL((await (await page.request.get(`${address}/api/v1/files/${view.file}/preview`)).json()).url);
+  let release;
+  const released = new Promise((resolve) => (release = resolve));
+  await page.route((url) => url.searchParams.has("X-Amz-Signature") && url.pathname !== preview.pathname, async (route) => {
+    await released;
+    return isRefused ? route.fulfill({ status: 404, headers: { "access-control-allow-origin": "*" } }) : route.continue();
+  });
+  const rough = async () => {
+    await page.locator("[data-scene-topic][data-rough]").waitFor({ state: "attached" });
+    await page.locator('[data-scene][data-items="1"] [data-drawn-points]:not([data-drawn-points="0"])').waitFor();
+    return { ...(await state()), notice: await page.locator("[data-rough-cloud]").allTextContents(), failures: await page.locator("[data-scene-topic] [data-read-failure]").count() };
+  };
+  await go(view);
+  results.views.rough = await rough();
+  await page.screenshot({ path: `${pictures}/scene-rough.png` });
+  release();
+  await isShown(view);
+  results.views.afterRough = { ...(await state()), notice: await page.locator("[data-rough-cloud]").allTextContents() };
+  isRefused = true;
+  await go(view);
+  await page.locator("[data-scene-topic] [data-read-failure]").waitFor();
+  results.views.refused = await rough();
+  await checkPage(page, "scene-refused");
+  await page.screenshot({ path: `${pictures}/scene-refused.png` });
 }
 
 for (const view of JSON.parse(json)) {
@@ -66,4 +105,5 @@ for (const view of JSON.parse(json)) {
     await page.locator("[data-drawn-points='0']").waitFor();
   }
 }
+await showLate(JSON.parse(late));
 await printResults();

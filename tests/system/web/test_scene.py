@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from kleinkram.client import connect
+from kleinkram.contract.recording_previews import RecordingPreviewState
 from kleinkram.recordings import Recording
 from kleinkram.recordings.decoding import points
 from kleinkram.recordings.sample import generate_mcap
@@ -56,7 +58,10 @@ def test_3d_panels_show_the_recorded_points_poses_and_markers(
         _view("deleted", shapes, _TIME_NS + 2 * scene_messages.SECOND_NS, ["/shapes"], 0, items=11),
         _view("settings", shapes, _TIME_NS, ["/colours"], 95, has_settings=True),
     ]
-    results = run_browser("scene.mjs", shared_cluster, pictures, json.dumps(views), timeout_s=560)
+    late_ns, last = _last_cloud(day / "drive.mcap", "/lidar/points")
+    late = _view("late", ids["drive.mcap"], late_ns, ["/lidar/points"], len(last))
+    clouds = _preview_clouds(shared_cluster, ids["drive.mcap"])
+    results = run_browser("scene.mjs", shared_cluster, pictures, json.dumps(views), json.dumps(late), timeout_s=560)
 
     shown = results["views"]
     assert (results["consoleErrors"], results["axe"], results["overflowing"]) == ([], [], [])
@@ -72,6 +77,12 @@ def test_3d_panels_show_the_recorded_points_poses_and_markers(
         "There is no transform of the frame utm near this time.",
     ]
     assert shown["deleted"]["topics"][0]["markers"] == "11", "a marker was deleted before this time"
+    for name in ("rough", "refused"):
+        _assert_thinned(shown[name], clouds, day / "drive.mcap", late_ns)
+    assert (shown["rough"]["failures"], shown["refused"]["failures"]) == (0, 1)
+    assert shown["afterRough"]["notice"] == []
+    assert shown["afterRough"]["topics"][0]["logTime"] == str(late_ns)
+    assert "rough" not in shown["afterRough"]["topics"][0]
     assert all(view["colours"] > _BACKGROUND_COLOURS for view in shown.values()), "something is drawn"
     assert "frame=base" in unquote(results["address"])
     assert results["hasTurned"]
@@ -115,6 +126,43 @@ def _first_cloud(path: Path, topic: str) -> tuple[int, NDArray[Any]]:
     with Recording.open(path) as recording:
         first = next(iter(recording.messages(topic)))
         return first.log_time_ns, points(first.value)
+
+
+def _last_cloud(path: Path, topic: str) -> tuple[int, NDArray[Any]]:
+    with Recording.open(path) as recording:
+        *_, last = recording.messages(topic)
+        return last.log_time_ns, points(last.value)
+
+
+def _preview_clouds(cluster: Cluster, file_id: str) -> list[int]:
+    """Return the times of the clouds in the preview of a file."""
+    client = connect(cluster.runtime_info()["url"], (cluster.data_dir / "owner-token").read_text().strip())
+    with client:
+        wait_until(
+            lambda: client.files.preview_state(file_id).state is RecordingPreviewState.ready, "the preview of the drive"
+        )
+        return [cloud.time_ns for cloud in client.files.preview(file_id).clouds]
+
+
+def _assert_thinned(view: dict[str, Any], clouds: list[int], path: Path, at_ns: int) -> None:
+    """A panel shows some points of the recorded cloud at the time of the preview's last one until now."""
+    row = view["topics"][0]
+    time_ns = int(row["rough"])
+    assert time_ns == max(time for time in clouds if time <= at_ns)
+    with Recording.open(path) as recording:
+        (cloud,) = [points(one.value) for one in recording.messages("/lidar/points") if one.log_time_ns == time_ns]
+    xyz = np.stack([cloud[axis] for axis in "xyz"], axis=-1).reshape(-1, 3)
+    recorded = {tuple(point) for point in xyz.tolist()}
+    first = np.array(json.loads(row["first"]), np.float32).reshape(-1, 3)
+    assert {tuple(point) for point in first.tolist()} <= recorded
+    assert 100 < int(row["points"]) < len(xyz)
+    assert f"{int(row['points']):,} of {len(xyz):,} points drawn" in row["text"]
+    least, greatest = np.array(json.loads(row["bounds"]))
+    assert (least >= xyz.min(axis=0)).all()
+    assert (greatest <= xyz.max(axis=0)).all()
+    assert (greatest - least > 0.5 * np.ptp(xyz, axis=0)).all(), "the points are spread over the cloud"
+    assert len(view["notice"]) == 1
+    assert view["notice"][0].startswith("Thinned cloud of the preview, at ")
 
 
 def _shown_points(total: int) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,14 +27,25 @@ def thinned_cloud(value: object, topic: str, time_ns: int) -> ThinnedCloud:
     names = cloud.dtype.names or ()
     if any(axis not in names or cloud.dtype[axis].shape for axis in "xyz"):
         raise DecodeError(type_name(value), "its points have no x, y and z")
-    candidates = cloud[:: max(1, -(-len(cloud) // _CANDIDATES))]
+    candidates = thinned(cloud, _CANDIDATES)
     with np.errstate(over="ignore", invalid="ignore"):
         xyz = np.stack([candidates[axis].astype(np.float64) for axis in "xyz"], axis=1)
         xyz = _in_frame(xyz, part(value, "pose")).astype(np.float32)
     xyz = xyz[np.isfinite(xyz).all(axis=1)]
-    xyz = np.ascontiguousarray(xyz[:: max(1, -(-len(xyz) // MAX_POINTS))])
+    xyz = np.ascontiguousarray(thinned(xyz, MAX_POINTS))
     frame_id = str(part(part(value, "header"), "frame_id") or part(value, "frame_id") or "")
     return ThinnedCloud(topic, time_ns, _text(frame_id), len(cloud), xyz)
+
+
+def thinned(rows: NDArray[Any], count: int) -> NDArray[Any]:
+    """Return at most so many rows, evenly spread over their order, the same ones each time.
+
+    Of equal parts, one row each, at random: every n-th point of a lidar may come from the same ring.
+    """
+    if len(rows) <= count:
+        return rows
+    edges = np.arange(count + 1) * len(rows) // count
+    return rows[np.random.default_rng(0).integers(edges[:-1], edges[1:])]
 
 
 def _in_frame(xyz: NDArray[np.float64], pose: object) -> NDArray[np.float64]:

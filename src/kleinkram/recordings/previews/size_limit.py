@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from kleinkram.recordings.previews.bins import halved
+from kleinkram.recordings.previews.clouds import thinned
 from kleinkram.recordings.previews.container import encode
 from kleinkram.recordings.previews.model import LeftOutTopic, RecordingPreview
 
@@ -57,7 +58,8 @@ def _fewer_thumbnails(preview: RecordingPreview) -> RecordingPreview:
 
 
 def _fewer_points(preview: RecordingPreview) -> RecordingPreview:
-    return replace(preview, clouds=tuple(replace(cloud, xyz=cloud.xyz[::2]) for cloud in preview.clouds))
+    clouds = (replace(cloud, xyz=thinned(cloud.xyz, (len(cloud.xyz) + 1) // 2)) for cloud in preview.clouds)
+    return replace(preview, clouds=tuple(clouds))
 
 
 def _fewer_positions(preview: RecordingPreview) -> RecordingPreview:

@@ -237,6 +237,19 @@ def test_clouds_are_thinned_evenly_without_what_is_not_finite() -> None:
     assert (thin.xyz[:, 1] - thin.xyz[:, 0] == 1).all()
 
 
+@pytest.mark.parametrize("count", [4_800, 32_000])
+def test_thinned_clouds_have_points_of_all_rings_of_a_lidar(count: int) -> None:
+    rings = np.arange(count) % 16
+    points = np.stack([np.arange(count), np.zeros(count), rings], axis=1)
+    limits = PreviewLimits(max_bytes=20_000)  # too small for all points of the cloud
+    (thin,) = preview_of(ros2_mcap([cloud(points)]), limits).clouds
+    assert 100 < len(thin.xyz) < 2_500
+    shares = np.bincount(thin.xyz[:, 2].astype(int), minlength=16) / len(thin.xyz)
+    assert (shares > 0.5 / 16).all()
+    assert (np.diff(thin.xyz[:, 0]) > 0).all()
+    assert len(set((thin.xyz[:, 0] * 10 // count).tolist())) == 10, "they are spread over the cloud"
+
+
 _QUARTER = math.sqrt(0.5)
 
 
