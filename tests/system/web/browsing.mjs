@@ -20,9 +20,9 @@ export async function openBrowser(web, executablePath, pictures) {
   const browser = await launchBrowser(web, executablePath);
   const results = { consoleErrors: [], axe: [], overflowing: [], executed: [] };
 
-  /** Opens a page with its own cookies. A request may fail where `expectsErrors`, which gets its address, returns true. */
-  async function openPage(expectsErrors = () => false) {
-    const context = await browser.newContext({ viewport: DESKTOP, reducedMotion: "reduce", acceptDownloads: true });
+  /** Opens a page with its own cookies. A request may fail where `expectsErrors`, which gets its address, returns true. `options`: of the context. */
+  async function openPage(expectsErrors = () => false, options = {}) {
+    const context = await browser.newContext({ viewport: DESKTOP, reducedMotion: "reduce", acceptDownloads: true, ...options });
     const page = await context.newPage();
     page.setDefaultTimeout(TIMEOUT_MS);
     page.on("console", (message) => {

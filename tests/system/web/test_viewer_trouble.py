@@ -6,7 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 
+from kleinkram.client import connect
+from kleinkram.contract.recording_previews import RecordingPreviewState
 from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.recordings.writing.mcap_writer import McapWriter
@@ -18,8 +21,14 @@ _TOPICS = 10_000
 _ADDRESS_S = 5
 _S = 1_000_000_000
 _TEN_YEARS_NS = 3_652 * 86_400 * _S
-_CAMERA = "/camera/image/compressed"
+_CAMERA, _LIDAR, _IMU = "/camera/image/compressed", "/lidar/points", "/imu/data"
 _COUNTS = "/counts"
+_BLOCK_BYTES, _TAIL_BYTES = 128 * 1024, 512 * 1024
+# How far around the play head panels need messages: the transforms of clouds.
+_AROUND_NS = 1 * _S
+_LINE = {"bytesPerSecond": 1_500_000, "latencyMs": 200}
+_CANCELLED_MS = 500
+_JUMP_S = 4
 
 
 @pytest.mark.slow
@@ -83,8 +92,71 @@ def test_the_viewer_survives_extreme_recordings_expired_addresses_and_a_deletion
     assert results["deleted"]["other"] == {"value": str(len(counted_ns) - 1)}
 
 
-def _files(cluster: Cluster) -> list[dict[str, Any]]:
-    items: list[dict[str, Any]] = cluster.terminal.run("file", "list", "-p", "Trouble", "--json").json()["items"]
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_over_a_slow_line_what_is_seen_first_is_requested_first(
+    shared_cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
+) -> None:
+    day = tmp_path / "day"
+    day.mkdir()
+    drive = generate_mcap(day / "drive.mcap", size_bytes=40_000_000)
+    _write_counts(day / "other.mcap", {_COUNTS: [(number, drive.start_ns + number) for number in range(1000)]})
+    terminal = shared_cluster.terminal
+    terminal.run("project", "create", "Slow")
+    terminal.run("upload", "-p", "Slow", "-m", "day", "--create", "--wait", f"{day}/")
+    wait_until(lambda: all(file["content"] == "indexed" for file in _files(shared_cluster, "Slow")), "the index")
+    known = {file["path"]: file for file in _files(shared_cluster, "Slow")}
+    _wait_for_preview(shared_cluster, known["drive.mcap"]["id"])
+    key, other_key = (known[name]["recording_id"][:8] for name in ("drive.mcap", "other.mcap"))
+    images_ns, clouds_ns = _times(drive.path, _CAMERA), _times(drive.path, _LIDAR)
+    first_ns, second_ns = drive.start_ns + 6 * _S, drive.start_ns + (6 - _JUMP_S) * _S
+    size_bytes = drive.path.stat().st_size
+    # The index, and the transforms that are valid all the time.
+    always = [(0, _bytes_of(drive.path, drive.start_ns, drive.start_ns)[1]), (size_bytes - _TAIL_BYTES - _BLOCK_BYTES, size_bytes)]
+    needed = [_bytes_of(drive.path, at_ns - _AROUND_NS, at_ns + _AROUND_NS) for at_ns in (first_ns, second_ns)]
+    seen = [f"image:{key}@{_CAMERA}", f"scene:{key}@{_LIDAR}", f"plot*:{key}@{_IMU},linear_acceleration.x"]
+    request = {
+        "mission": known["drive.mcap"]["mission"]["id"],
+        "file": known["drive.mcap"]["id"],
+        "panels": [*seen, f"raw:{key}@/odom", f"raw:{key}@/gps/fix", f"raw:{other_key}@{_COUNTS}"],
+        "times": {
+            "first": str(first_ns),
+            "firstImage": str(_valid(images_ns, first_ns)),
+            "firstCloud": str(_valid(clouds_ns, first_ns)),
+            "secondImage": str(_valid(images_ns, second_ns)),
+            "secondCloud": str(_valid(clouds_ns, second_ns)),
+            "jumpSeconds": _JUMP_S,
+        },
+        "needed": [*always, needed[0]],
+        "line": _LINE,
+    }
+    results = run_browser("slow_line.mjs", shared_cluster, pictures, json.dumps(request))
+    print(json.dumps(results))
+    assert results["consoleErrors"] == []
+
+
+def _bytes_of(path: Path, from_ns: int, to_ns: int) -> tuple[int, int]:
+    """Return the first and last byte of the blocks that have the chunks with messages of a time."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunks = [one for one in summary.chunk_indexes if one.message_end_time >= from_ns and one.message_start_time <= to_ns]
+    first = min(one.chunk_start_offset for one in chunks) // _BLOCK_BYTES * _BLOCK_BYTES
+    end = max(one.chunk_start_offset + one.chunk_length for one in chunks)
+    return first, -(-end // _BLOCK_BYTES) * _BLOCK_BYTES - 1
+
+
+def _valid(times_ns: Sequence[int], at_ns: int) -> int:
+    return max(time_ns for time_ns in times_ns if time_ns <= at_ns)
+
+
+def _wait_for_preview(cluster: Cluster, file_id: str) -> None:
+    with connect(cluster.runtime_info()["url"], (cluster.data_dir / "owner-token").read_text().strip()) as client:
+        wait_until(lambda: client.files.preview_state(file_id).state is RecordingPreviewState.ready, "the preview")
+
+
+def _files(cluster: Cluster, project: str = "Trouble") -> list[dict[str, Any]]:
+    items: list[dict[str, Any]] = cluster.terminal.run("file", "list", "-p", project, "--json").json()["items"]
     return items
 
 

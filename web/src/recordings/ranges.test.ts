@@ -32,6 +32,15 @@ describe("Ranges", () => {
     expect(answers).toEqual([4 * BLOCK]);
   });
 
+  it.each([[100, 3], [1_000, 2], [8_000, 1]])("reads ahead no more than comes within a second, where two blocks take %d ms", async (readingMs, blocks) => {
+    let nowMs = 0;
+    const { ranges, answers } = storeOf(BYTES, { now: () => (nowMs += readingMs) });
+    await ranges.read(0, 2 * BLOCK);
+    ranges.ahead = 3 * BLOCK;
+    await ranges.read(2 * BLOCK, 1);
+    expect(answers).toEqual([2 * BLOCK, blocks * BLOCK]);
+  });
+
   it("asks for another address when one expires, by the clock or by the store's word", async () => {
     const soon = storeOf(BYTES, { lifeMs: 1000 });
     await soon.ranges.read(0, 1);

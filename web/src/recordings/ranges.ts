@@ -33,6 +33,7 @@ export interface RangesOptions {
 }
 
 const RENEW_BEFORE_MS = 30_000;
+const MAX_AHEAD_MS = 1000;
 const EXPIRED = new Set([400, 401, 403]);
 /** Pauses before a range is requested again that the network interrupted. */
 const REPEAT_AFTER_MS = [250, 1000, 3000];
@@ -42,7 +43,7 @@ export class Ranges implements Source {
   readonly sizeBytes: number;
   /** Bytes that came over the network. */
   bytesRead = 0;
-  /** Read at least this many bytes at once; for reading on and on. */
+  /** Read at least this many bytes at once, or what comes within a second; for reading on and on. */
   ahead = 0;
   /** Ends what is being read. */
   signal: AbortSignal | undefined;
@@ -50,6 +51,8 @@ export class Ranges implements Source {
   private readonly blocks = new Map<number, Uint8Array>();
   private address: Address | undefined;
   private etag: string | undefined;
+  /** Of the last range that was read; while it is read, nothing else is. */
+  private bytesPerMs = Infinity;
 
   constructor(private readonly options: RangesOptions) {
     this.sizeBytes = options.sizeBytes;
@@ -75,11 +78,15 @@ export class Ranges implements Source {
   /** Fetch from `block` to the next one that is there already, or to `last`, or further if reading ahead. */
   private async fetchBlocks(block: number, last: number): Promise<Uint8Array> {
     const blocks = Math.ceil(this.sizeBytes / BLOCK);
-    const limit = Math.min(blocks, Math.max(last, block + Math.ceil(this.ahead / BLOCK)));
+    const ahead = Math.min(this.ahead, MAX_AHEAD_MS * this.bytesPerMs);
+    const limit = Math.min(blocks, Math.max(last, block + Math.ceil(ahead / BLOCK)));
     let until = block + 1;
     while (until < limit && !this.blocks.has(until)) until += 1;
     const start = block * BLOCK;
+    const now = this.options.now ?? Date.now;
+    const startMs = now();
     const bytes = await this.fetchRange(start, Math.min(until * BLOCK, this.sizeBytes));
+    this.bytesPerMs = bytes.length / Math.max(1, now() - startMs);
     for (let at = 0; at < bytes.length; at += BLOCK) this.cache(block + at / BLOCK, bytes.slice(at, at + BLOCK));
     return bytes;
   }

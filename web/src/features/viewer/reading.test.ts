@@ -29,11 +29,14 @@ interface Made {
   readonly isWhole?: boolean;
   /** Resolves before the reader tells the fields of the topic. */
   readonly beforeFields?: Promise<void>;
+  /** Whether curves come only when they are cancelled. */
+  readonly isHeld?: () => boolean;
 }
 
 /** A viewer of one file with a message in every step of time. */
-function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, preview, isWhole = true, beforeFields = Promise.resolve() }: Made) {
+function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, preview, isWhole = true, beforeFields = Promise.resolve(), isHeld = () => false }: Made) {
   const requests: { readonly fromNs: bigint; readonly toNs: bigint }[] = [];
+  const signals: AbortSignal[] = [];
   const note = (request: { fromNs: bigint; toNs: bigint }): void => {
     if (requests.push({ fromNs: request.fromNs, toNs: request.toNs }) > MOST_REQUESTS) throw new ReadFailure("too_large");
   };
@@ -49,13 +52,15 @@ function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, p
       const messages = times.map((logTimeNs) => ({ logTimeNs, publishTimeNs: logTimeNs, sequence: 0, sizeBytes: 1, product: null }));
       return { messages, untilNs: times.length < request.maxMessages ? request.toNs : (times.at(-1) ?? request.toNs), damaged: [] };
     },
-    request: async (kind: string, request: CurvesRequest) => {
+    request: async (kind: string, request: CurvesRequest, { signal }: { signal: AbortSignal }) => {
       await Promise.resolve();
       if (kind === "fields") {
         await beforeFields;
         return { fields: [{ path: "x", name: "x", isNumber: true, children: [] }] };
       }
       note(request);
+      signals.push(signal);
+      if (isHeld()) await new Promise((_, reject) => signal.addEventListener("abort", () => reject(new ReadFailure("cancelled"))));
       const untilNs = request.fromNs + curvesNs < request.toNs ? request.fromNs + curvesNs : request.toNs;
       return { seconds: [], values: [[]], messages: 0, isWhole, damaged: [], wholeBytes: 2 ** 30, topicBytes: TOPIC_BYTES, untilNs, unstamped: 0 };
     },
@@ -73,7 +78,7 @@ function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, p
     mount({ setup: () => void results.push(setup()), template: "<i/>" }, { global: { provide: { [viewerKey as symbol]: viewer } } });
     return results[0] as Result;
   }
-  return { clock, requests, using };
+  return { clock, requests, signals, using };
 }
 
 afterEach(() => vi.useRealTimers());
@@ -81,6 +86,13 @@ afterEach(() => vi.useRealTimers());
 async function settled(): Promise<void> {
   await nextTick();
   await flushPromises();
+}
+
+/** Waits until reading goes on after a jump. */
+async function rested(): Promise<void> {
+  await settled();
+  await vi.runAllTimersAsync();
+  await settled();
 }
 
 it("comes to a time that has many messages before it, from ever nearer", async () => {
@@ -115,14 +127,35 @@ it("reads around the play head although it does not move, and on until it is cov
 });
 
 it.each(["curves", "parts"] as const)("reads where the play head went while something was read: %s", async (kind) => {
+  vi.useFakeTimers({ toFake: ["setTimeout", "clearTimeout"] });
   const { using, requests, clock } = viewerAt(0n, { stepNs: 1_000_000n });
   const gathering = { product: "plain", empty: 0, add: (count: number) => count } as const;
   const { unread } = using(() => (kind === "curves" ? useCurves(() => series, () => 0, () => null) : useParts(() => series, gathering, () => 0)));
   while (requests.length === 0) await Promise.resolve();
   clock.seek(400n * SECOND);
-  await settled();
+  await rested();
   expect(unread.value.some(({ fromNs, toNs }) => fromNs <= 400n * SECOND && toNs >= 400n * SECOND)).toBe(false);
   expect(requests.length).toBeLessThan(10);
+});
+
+it("ends what it reads around the play head at a jump, and begins anew after others; small steps change nothing", async () => {
+  vi.useFakeTimers({ toFake: ["setTimeout", "clearTimeout"] });
+  let isHeld = true;
+  const { using, requests, signals, clock } = viewerAt(300n * SECOND, { ...LARGE, preview: { series: () => Promise.resolve(BINS) }, isHeld: () => isHeld });
+  const { failure, unread } = using(() => useCurves(() => series, () => 0, () => null));
+  await settled();
+  expect(requests).toEqual([{ fromNs: 298n * SECOND, toNs: 315n * SECOND }]);
+  clock.seek(300n * SECOND + SECOND / 2n);
+  await settled();
+  expect(signals.map(({ aborted }) => aborted)).toEqual([false]);
+  for (const second of [200n, 150n, 100n]) clock.seek(second * SECOND), await settled();
+  expect(signals.map(({ aborted }) => aborted)).toEqual([true]);
+  expect(requests).toHaveLength(1);
+  isHeld = false;
+  await rested();
+  expect(requests.slice(1)).toEqual([{ fromNs: 98n * SECOND, toNs: 115n * SECOND }]);
+  expect(failure.value).toBeNull();
+  expect(unread.value.map(({ fromNs }) => fromNs)).toEqual([0n, 115n * SECOND + 1n]);
 });
 
 const MINUTES = Array.from({ length: 10 }, (_, minute) => BigInt(minute) * 60n * SECOND);

@@ -7,7 +7,7 @@ import { chosenCurves, layoutCurves, type PlotCurve } from "./plot_curves";
 import { roughSegments, type FileSeries } from "./rough_curves";
 import type { SourceFile } from "./sources";
 import { useReading } from "./useReading";
-import { secondsOf, useViewer } from "./viewer";
+import { areFar, secondsOf, useViewer } from "./viewer";
 import { ReadFailure } from "@/recordings/failures";
 import type { Span } from "@/recordings/formats/recording";
 import type { FieldNode } from "@/recordings/decoding/fields";
@@ -50,7 +50,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   const segments = shallowRef<readonly Segment[]>([]);
   const previewed = shallowRef<readonly FileSeries[]>([]);
   const offered = shallowRef<readonly FieldNode[] | null>(null);
-  const { failure, isReading, attempt, stop: stopReading } = useReading();
+  const { failure, isReading, attempt, attemptUnasked, restart: readAnew, stop: stopReading } = useReading();
   /** Whether the offered fields are those of a preview, which leaves some out and has no vectors. */
   const isPreviewed = ref(false);
   let zoomToRead: Span | null = null;
@@ -73,23 +73,32 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   /** Reads a part; returns the bytes that the whole of it needs. */
   async function read(file: SourceFile, part: Span, maxBytes: number, signal: AbortSignal): Promise<number> {
     const before = segments.value;
+    let shown = before;
     const show = (segment: Segment): void => {
       if (signal.aborted) throw new ReadFailure("cancelled");
-      segments.value = withDetail(before, segment, (timeNs) => secondsOf(clock, timeNs));
+      segments.value = shown = withDetail(before, segment, (timeNs) => secondsOf(clock, timeNs));
     };
+    const undo = (): void => {
+      if (segments.value === shown) segments.value = before;
+    };
+    signal.addEventListener("abort", undo);
     const startSeconds = secondsOf(clock, file.span.fromNs);
-    const result = await sources.curves(file, { ...series(), fields: columns.value }, { ...part, maxBytes, time: time() }, {
-      signal,
-      priority: priority() + AFTER_MESSAGES,
-      // What was read so far covers nothing yet: the rest stays marked as unread.
-      onCurves: (drawn) => !signal.aborted && show(segmentOf(file.id, part, { ...drawn, untilNs: part.fromNs }, startSeconds)),
-    });
-    show(result === null ? emptySegment(file.id, part) : segmentOf(file.id, part, result.curves, secondsOf(clock, result.opened.span?.fromNs ?? file.span.fromNs)));
-    return result?.curves.wholeBytes ?? 0;
+    try {
+      const result = await sources.curves(file, { ...series(), fields: columns.value }, { ...part, maxBytes, time: time() }, {
+        signal,
+        priority: priority() + AFTER_MESSAGES,
+        // What was read so far covers nothing yet: the rest stays marked as unread.
+        onCurves: (drawn) => !signal.aborted && show(segmentOf(file.id, part, { ...drawn, untilNs: part.fromNs }, startSeconds)),
+      });
+      show(result === null ? emptySegment(file.id, part) : segmentOf(file.id, part, result.curves, secondsOf(clock, result.opened.span?.fromNs ?? file.span.fromNs)));
+      return result?.curves.wholeBytes ?? 0;
+    } finally {
+      signal.removeEventListener("abort", undo);
+    }
   }
 
   function readBeginning(): Promise<boolean> {
-    return attempt(async (signal) => {
+    return attemptUnasked(async (signal) => {
       if (isLarge.value && (await showPreviews(signal))) return readFields(signal);
       let bytesLeft = PLOT_BYTES;
       for (const file of files.value) {
@@ -102,6 +111,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
 
   /** Shows the curves of the previews; returns whether there are any. A preview that cannot be read is as good as none. */
   async function showPreviews(signal: AbortSignal): Promise<boolean> {
+    previewed.value = [];
     for (const file of files.value) {
       const preview = await previews.of(file.id).catch(() => null);
       const bins = await preview?.series(series().topic, columns.value).catch(() => null);
@@ -119,17 +129,17 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
     });
   }
 
-  function readAround(timeNs: bigint): Promise<boolean> {
-    return attempt(async (signal) => {
+  function readAround(): Promise<boolean> {
+    return attemptUnasked(async (signal) => {
       for (const file of files.value) {
-        const part = partAround(unreadParts(file, segments.value), timeNs);
+        const part = partAround(unreadParts(file, segments.value), clock.timeNs.value);
         if (part !== null) await read(file, part, AROUND_BYTES, signal);
       }
     });
   }
 
   function readWithin(span: Span): Promise<boolean> {
-    return attempt(async (signal) => {
+    return attemptUnasked(async (signal) => {
       let bytesLeft = PLOT_BYTES;
       for (const file of files.value) {
         for (const part of [...partsWithin(unreadParts(file, segments.value), span), ...partsToDetail(file.id, segments.value, span)]) {
@@ -187,7 +197,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
     const isUnread = unread.value.some((part) => timeNs >= part.fromNs && timeNs <= part.toNs);
     const span = zoomToRead;
     zoomToRead = null;
-    const isRead = span !== null ? await readWithin(span) : isUnread && (await readAround(timeNs));
+    const isRead = span !== null ? await readWithin(span) : isUnread && (await readAround());
     if (isRead) await follow();
   }
 
@@ -197,7 +207,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
 
   watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
   watch(() => JSON.stringify([offered.value === null, columns.value, time()]), draw);
-  watch(clock.timeNs, follow);
+  watch(clock.timeNs, (now, before) => void (areFar(now, before) ? thenFollow(readAnew()) : follow()));
   watch(zoomed, (span) => {
     clearTimeout(zoomTimer);
     zoomTimer = setTimeout(() => {

@@ -1,7 +1,7 @@
 // The message of a topic that is valid at the time of the play head, as a product.
 import { onScopeDispose, ref, shallowRef, watch, type Ref, type ShallowRef } from "vue";
 import type { Series } from "./layout";
-import { MAX_SEARCH_BYTES, useViewer } from "./viewer";
+import { areFar, MAX_SEARCH_BYTES, useViewer } from "./viewer";
 import { latest } from "@/features/file/viewer/useReader";
 import { failureOf, type ReadFailure } from "@/recordings/failures";
 import type { ProductName, Products, ReadMessage } from "@/recordings/products/products";
@@ -27,9 +27,6 @@ interface Target {
   readonly series: Series;
   readonly atNs: bigint;
 }
-
-/** A request for a time that is this far from the play head is cancelled. */
-const FAR_NS = 1_000_000_000n;
 
 /** Follows the play head. `onShown` is called before a product replaces the one before. */
 export function useMessageAt<P extends ProductName>(
@@ -80,16 +77,11 @@ export function useMessageAt<P extends ProductName>(
     const source = series();
     if (source === undefined) return;
     const atNs = clock.timeNs.value;
-    if (running !== null && isFar(running.target, { series: source, atNs })) running.controller.abort();
+    if (running !== null && (running.target.series.topic !== source.topic || areFar(running.target.atNs, atNs))) running.controller.abort();
     ask({ series: source, atNs });
   }
 
   watch([clock.timeNs, () => `${series()?.recording} ${series()?.topic}`], follow, { immediate: true });
   onScopeDispose(() => running?.controller.abort());
   return { shown, failure, isReading, searchedToNs, damaged, again: follow };
-}
-
-function isFar(running: Target, next: Target): boolean {
-  const distance = next.atNs - running.atNs;
-  return running.series.topic !== next.series.topic || distance > FAR_NS || distance < -FAR_NS;
 }

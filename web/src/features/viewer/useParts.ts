@@ -5,7 +5,7 @@ import { partAround, unreadParts, type FilePart } from "./curves";
 import type { Series } from "./layout";
 import type { SourceFile } from "./sources";
 import { useReading } from "./useReading";
-import { useViewer } from "./viewer";
+import { areFar, useViewer } from "./viewer";
 import type { ReadFailure } from "@/recordings/failures";
 import type { Span } from "@/recordings/formats/recording";
 import type { ProductName, ReadMessage } from "@/recordings/products/products";
@@ -46,7 +46,7 @@ export type Instead = (files: readonly SourceFile[], signal: AbortSignal) => Pro
 export function useParts<P extends ProductName, Content>(series: () => Series, gathering: Gathering<P, Content>, priority: () => number, instead?: Instead): PartsRead<Content> {
   const { clock, sources } = useViewer();
   const parts = shallowRef<readonly ReadPart<Content>[]>([]);
-  const { failure, isReading, attempt, stop } = useReading();
+  const { failure, isReading, attempt, attemptUnasked, restart: readAnew, stop } = useReading();
 
   const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
   const unread = computed(() => files.value.flatMap((file) => unreadParts(file, parts.value)));
@@ -69,7 +69,7 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
   }
 
   function readBeginning(): Promise<boolean> {
-    return attempt(async (signal) => {
+    return attemptUnasked(async (signal) => {
       if ((await instead?.(files.value, signal)) === true || signal.aborted) return;
       let pagesLeft = BEGINNING_PAGES;
       for (const file of files.value) {
@@ -87,10 +87,10 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
     });
   }
 
-  function readAround(timeNs: bigint): Promise<boolean> {
-    return attempt(async (signal) => {
+  function readAround(): Promise<boolean> {
+    return attemptUnasked(async (signal) => {
       for (const file of files.value) {
-        const part = partAround(unreadParts(file, parts.value), timeNs);
+        const part = partAround(unreadParts(file, parts.value), clock.timeNs.value);
         if (part !== null) await read(file, part, AROUND_PAGES, signal);
       }
     });
@@ -106,7 +106,7 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
   async function follow(): Promise<void> {
     const timeNs = clock.timeNs.value;
     const isUnread = unread.value.some((part) => timeNs >= part.fromNs && timeNs <= part.toNs);
-    if (isUnread && !isReading.value && failure.value === null && (await readAround(timeNs))) await follow();
+    if (isUnread && !isReading.value && failure.value === null && (await readAround())) await follow();
   }
 
   async function thenFollow(reading: Promise<boolean>): Promise<void> {
@@ -114,7 +114,7 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
   }
 
   watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
-  watch(clock.timeNs, follow);
+  watch(clock.timeNs, (now, before) => void (areFar(now, before) ? thenFollow(readAnew()) : follow()));
   const inOrder = computed(() => parts.value.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1)));
   return { parts: inOrder, unread, failure, isReading, readAll: () => void thenFollow(readAll()), again: restart };
 }

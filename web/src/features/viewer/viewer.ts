@@ -29,7 +29,14 @@ export function useViewer(): Viewer {
 
 /** Bytes that a search for one message reads at most. */
 export const MAX_SEARCH_BYTES = 16 * 2 ** 20;
+/** What is read for a time that is this far from the play head is out of date: a step of the arrow keys. */
+const FAR_NS = 1_000_000_000n;
 const NS_PER_S = 1e9;
+
+/** Whether somebody jumped from one time to the other: while playing, steps are shorter. */
+export function areFar(oneNs: bigint, otherNs: bigint): boolean {
+  return oneNs - otherNs >= FAR_NS || otherNs - oneNs >= FAR_NS;
+}
 
 /** Returns seconds since the beginning of the viewer's time. */
 export function secondsOf({ span }: Clock, timeNs: bigint): number {

@@ -174,7 +174,7 @@ export interface TestStore {
   change: (bytes: Uint8Array) => void;
 }
 
-export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestStore {
+export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000, now = Date.now } = {}): TestStore {
   let stored = bytes;
   let etag = '"1"';
   let renewals = 0;
@@ -203,6 +203,7 @@ export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestSto
       return Promise.resolve({ url: `http://store.test/file?n=${renewals}`, expiresAtMs: Date.now() + lifeMs });
     },
     fetch: answer,
+    now,
   });
   return {
     ranges,

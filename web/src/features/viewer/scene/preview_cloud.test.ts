@@ -34,7 +34,7 @@ function viewerWith(seconds: Readonly<Record<string, readonly number[]>>) {
   const setup = () => void (rough = usePreviewCloud(() => SERIES, message as unknown as MessageAtTime<"scene">));
   mount({ setup, template: "<i/>" }, { global: { provide: { [viewerKey as symbol]: viewer as unknown as Viewer } } });
   const shown = () => (rough.value === null ? null : rough.value.logTimeNs / SECOND);
-  const seek = (second: number) => (timeNs.value = BigInt(second) * SECOND);
+  const seek = (second: number) => (timeNs.value = BigInt(Math.round(second * 1e9)));
   const show = (second: number) => (message.shown.value = { logTimeNs: BigInt(second) * SECOND } as ShownMessage<"scene">);
   return { message, seek, show, shown, read, rough: () => rough.value };
 }
@@ -64,7 +64,7 @@ it("reads nothing of a preview where the message comes soon, nor while playing",
   await wait(PATIENCE_MS - 1);
   show(10);
   await wait();
-  seek(11);
+  seek(10.5);
   await wait();
   expect(shown()).toBeNull();
   message.isReading.value = false;

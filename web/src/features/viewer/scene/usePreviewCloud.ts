@@ -2,7 +2,7 @@
 import { computed, onScopeDispose, ref, shallowRef, watch, type ComputedRef } from "vue";
 import type { Series } from "../layout";
 import type { MessageAtTime } from "../useMessageAt";
-import { useViewer } from "../viewer";
+import { areFar, useViewer } from "../viewer";
 import { secondsOfNs, type TimedScene } from "./placement";
 import { latest } from "@/features/file/viewer/useReader";
 import { pointSetOf } from "@/recordings/geometry/points";
@@ -11,8 +11,6 @@ import type { PreviewCloud, PreviewFile } from "@/recordings/preview_file";
 
 /** Over a fast line, messages come before that, and no cloud of a preview flickers. */
 export const PATIENCE_MS = 150;
-/** A message of this long ago is no longer better than none; while playing, messages come late by less. */
-const FAR_NS = 1_000_000_000n;
 
 interface Loaded {
   /** The time of the play head for which it is the last cloud. */
@@ -33,7 +31,7 @@ export function usePreviewCloud(series: () => Series, { shown, failure, isReadin
   const isLate = ref(false);
   let timer: ReturnType<typeof setTimeout> | undefined;
 
-  /** Whether the message at the play head is not there (yet). */
+  /** Whether the message at the play head is not there (yet). While playing, messages come somewhat late. */
   const isDue = computed(() => {
     if (failure.value !== null) return true;
     if (shown.value === null) return isReading.value || searchedToNs.value !== null;
@@ -78,10 +76,6 @@ export function usePreviewCloud(series: () => Series, { shown, failure, isReadin
     const isBetter = shown.value === null || shown.value.logTimeNs > now || shown.value.logTimeNs < scene.logTimeNs;
     return isBetter && scene.logTimeNs <= now ? scene : null;
   });
-}
-
-function areFar(oneNs: bigint, otherNs: bigint): boolean {
-  return oneNs - otherNs > FAR_NS || otherNs - oneNs > FAR_NS;
 }
 
 function timesOf(preview: PreviewFile | null, topic: string): readonly bigint[] {

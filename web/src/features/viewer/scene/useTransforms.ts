@@ -1,7 +1,7 @@
 // The transforms around the play head: static ones of the whole recordings, others of some seconds.
 import { onScopeDispose, ref, shallowRef, watch, type Ref } from "vue";
 import type { Series } from "../layout";
-import { useViewer } from "../viewer";
+import { areFar, useViewer } from "../viewer";
 import { readPages } from "./pages";
 import { secondsOfNs } from "./placement";
 import { latest } from "@/features/file/viewer/useReader";
@@ -39,17 +39,19 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
   const all = topics.filter(({ messageType, count }) => isTransformType(messageType) && count !== 0).map(({ recording, name }): Series => ({ recording, topic: name, fields: [] }));
   const statics = all.filter(({ topic }) => isStaticTopic(topic));
   const dynamics = all.filter(({ topic }) => !isStaticTopic(topic));
-  const controller = new AbortController();
+  const ending = new AbortController();
+  /** Ends what is read around a time, from which the play head has jumped away. */
+  let moving = new AbortController();
   let covered: Span | null = null;
   let hasStatics = false;
   let isExtended = false;
   let offset = 0;
 
   /** Returns up to where it read. */
-  async function read(series: Series, { fromNs, toNs }: Span, maxBytes: number): Promise<bigint> {
+  async function read(series: Series, { fromNs, toNs }: Span, maxBytes: number, signal: AbortSignal): Promise<bigint> {
     const request = { product: "transforms", fromNs, toNs, maxMessages: MAX_MESSAGES, maxBytes } as const;
     const isStatic = isStaticTopic(series.topic);
-    const untilNs = await readPages(sources, series, request, { signal: controller.signal, priority: priority() }, ({ logTimeNs, product }) => {
+    const untilNs = await readPages(sources, series, request, { signal, priority: priority() }, ({ logTimeNs, product }) => {
       const logSeconds = secondsOfNs(logTimeNs);
       for (const transform of product ?? []) {
         if (transform.stampSeconds !== null && !isStatic) offset = transform.stampSeconds - logSeconds;
@@ -62,32 +64,32 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
 
   async function readStatics(): Promise<void> {
     if (hasStatics) return;
-    for (const series of statics) await read(series, clock.span, MAX_STATIC_BYTES);
+    for (const series of statics) await read(series, clock.span, MAX_STATIC_BYTES, ending.signal);
     hasStatics = true;
   }
 
   /** Returns up to where it read all topics. */
-  async function readSpan(span: Span): Promise<bigint> {
+  async function readSpan(span: Span, signal: AbortSignal): Promise<bigint> {
     let untilNs = span.toNs;
     for (const series of dynamics) {
-      const reached = await read(series, span, MAX_BYTES);
+      const reached = await read(series, span, MAX_BYTES, signal);
       if (reached < untilNs) untilNs = reached;
     }
     return untilNs;
   }
 
   /** Reads on after what is covered, or anew around a time that this does not reach. */
-  async function cover(atNs: bigint): Promise<void> {
+  async function cover(atNs: bigint, signal: AbortSignal): Promise<void> {
     const toNs = atNs + AHEAD_NS;
     if (covered !== null && atNs >= covered.fromNs && atNs <= covered.toNs + AHEAD_NS) {
-      covered = { fromNs: covered.fromNs, toNs: await readSpan({ fromNs: covered.toNs + 1n, toNs }) };
+      covered = { fromNs: covered.fromNs, toNs: await readSpan({ fromNs: covered.toNs + 1n, toNs }, signal) };
       if (covered.toNs >= atNs) return;
     }
     for (const beforeNs of BEFORE_NS) {
       [covered, isExtended] = [null, false];
       buffer.clearDynamic();
       const fromNs = atNs - beforeNs;
-      const untilNs = await readSpan({ fromNs, toNs });
+      const untilNs = await readSpan({ fromNs, toNs }, signal);
       covered = { fromNs, toNs: untilNs };
       if (untilNs >= atNs) return;
     }
@@ -96,9 +98,10 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
   const follow = latest(async (atNs: bigint) => {
     if (all.length === 0 || !lacks(covered, atNs)) return;
     isReading.value = true;
+    const { signal } = moving;
     try {
       await readStatics();
-      await cover(atNs);
+      await cover(atNs, signal);
       failure.value = null;
     } catch (thrown) {
       const failed = failureOf(thrown, "worker_ended");
@@ -114,18 +117,24 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
     isExtended = true;
     const { fromNs } = covered;
     try {
-      await readSpan({ fromNs: fromNs - FAR_BEFORE_NS, toNs: fromNs - 1n });
+      await readSpan({ fromNs: fromNs - FAR_BEFORE_NS, toNs: fromNs - 1n }, moving.signal);
     } catch (thrown) {
       const failed = failureOf(thrown, "worker_ended");
       if (failed.code !== "cancelled") failure.value = failed;
     }
   }
 
-  watch(clock.timeNs, (atNs) => follow(atNs), { immediate: true });
+  watch(clock.timeNs, (atNs, before = atNs) => {
+    if (areFar(before, atNs)) {
+      moving.abort();
+      moving = new AbortController();
+    }
+    follow(atNs);
+  }, { immediate: true });
   watch(() => isLacking.value && !isReading.value, (isDue) => {
     if (isDue) void extend();
   });
-  onScopeDispose(() => controller.abort());
+  onScopeDispose(() => [ending, moving].forEach((controller) => controller.abort()));
   return { buffer, version, failure, isReading, stampOffset: () => offset };
 }
 
