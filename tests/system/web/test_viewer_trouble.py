@@ -27,8 +27,9 @@ _BLOCK_BYTES, _TAIL_BYTES = 128 * 1024, 512 * 1024
 # How far around the play head panels need messages: the transforms of clouds.
 _AROUND_NS = 1 * _S
 _LINE = {"bytesPerSecond": 1_500_000, "latencyMs": 200}
-_CANCELLED_MS = 500
 _JUMP_S = 4
+_CANCELLED_MS, _JUMP_MS = 1_000, 5_000
+_WASTED_BYTES = 128 * 1024
 
 
 @pytest.mark.slow
@@ -112,7 +113,8 @@ def test_over_a_slow_line_what_is_seen_first_is_requested_first(
     first_ns, second_ns = drive.start_ns + 6 * _S, drive.start_ns + (6 - _JUMP_S) * _S
     size_bytes = drive.path.stat().st_size
     # The index, and the transforms that are valid all the time.
-    always = [(0, _bytes_of(drive.path, drive.start_ns, drive.start_ns)[1]), (size_bytes - _TAIL_BYTES - _BLOCK_BYTES, size_bytes)]
+    index = (size_bytes - _TAIL_BYTES - _BLOCK_BYTES, size_bytes)
+    always = [(0, _bytes_of(drive.path, drive.start_ns, drive.start_ns)[1]), index]
     needed = [_bytes_of(drive.path, at_ns - _AROUND_NS, at_ns + _AROUND_NS) for at_ns in (first_ns, second_ns)]
     seen = [f"image:{key}@{_CAMERA}", f"scene:{key}@{_LIDAR}", f"plot*:{key}@{_IMU},linear_acceleration.x"]
     request = {
@@ -131,8 +133,47 @@ def test_over_a_slow_line_what_is_seen_first_is_requested_first(
         "line": _LINE,
     }
     results = run_browser("slow_line.mjs", shared_cluster, pictures, json.dumps(request))
-    print(json.dumps(results))
+
     assert results["consoleErrors"] == []
+    path = next(one["path"] for one in results["first"]["picture"]["ranges"] if one["path"] != results["preview"])
+    _assert_first(results["first"], results["preview"], path, [*always, needed[0]])
+    _assert_jump(results, path, [*always, needed[1]])
+    assert results["second"]["cloud"]["ranges"][-1]["path"] == path, "nothing is read of what is out of sight"
+    assert {one["path"] for one in results["scrolled"]["ranges"]} > {results["preview"], path}
+
+
+def _assert_first(shown: dict[str, Any], preview: str, path: str, needed: list[tuple[int, int]]) -> None:
+    """Until the picture and the cloud are there, nothing is requested but the preview and what they need."""
+    requested = shown["cloud"]["ranges"]
+    assert {one["path"] for one in requested} == {preview, path}
+    assert preview in [one["path"] for one in requested[:2]], "the preview is requested at once"
+    assert _outside(requested, path, needed) == []
+    first, last = needed[-1]
+    in_window = [one for one in shown["picture"]["ranges"] if one["path"] == path and first <= one["first"] <= last]
+    assert sum(one["sentBytes"] for one in in_window) < (last - first) / 2, (
+        "a picture does not wait for what is around it"
+    )
+
+
+def _assert_jump(results: dict[str, Any], path: str, needed: list[tuple[int, int]]) -> None:
+    """What is out of date ends at once, and what is needed now comes before everything else."""
+    before, picture = results["before"], results["second"]["picture"]
+    at_jump = len(before["ranges"])
+    running = [place for place, one in enumerate(before["ranges"]) if one["endedAtMs"] is None]
+    assert running, "something is read at the time of the jump"
+    ended = [picture["ranges"][place] for place in running]
+    assert all(not one["isWhole"] and one["endedAtMs"] - before["atMs"] < _CANCELLED_MS for one in ended)
+    later = picture["ranges"][at_jump:]
+    wasted_bytes = sum(one["sentBytes"] for one in _outside(later, path, needed))
+    assert wasted_bytes < _WASTED_BYTES, "steps between the two times leave nothing behind"
+    # The chunk of the picture, one that was begun before its request came, and the pauses between the steps.
+    assert picture["atMs"] - before["atMs"] < _JUMP_MS
+
+
+def _outside(ranges: list[dict[str, Any]], path: str, needed: list[tuple[int, int]]) -> list[dict[str, Any]]:
+    """Return the ranges of a file that are not within a part that is needed."""
+    own = [one for one in ranges if one["path"] == path]
+    return [one for one in own if not any(first <= one["first"] and one["last"] <= last for first, last in needed)]
 
 
 def _bytes_of(path: Path, from_ns: int, to_ns: int) -> tuple[int, int]:
@@ -140,7 +181,9 @@ def _bytes_of(path: Path, from_ns: int, to_ns: int) -> tuple[int, int]:
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    chunks = [one for one in summary.chunk_indexes if one.message_end_time >= from_ns and one.message_start_time <= to_ns]
+    chunks = [
+        one for one in summary.chunk_indexes if one.message_end_time >= from_ns and one.message_start_time <= to_ns
+    ]
     first = min(one.chunk_start_offset for one in chunks) // _BLOCK_BYTES * _BLOCK_BYTES
     end = max(one.chunk_start_offset + one.chunk_length for one in chunks)
     return first, -(-end // _BLOCK_BYTES) * _BLOCK_BYTES - 1

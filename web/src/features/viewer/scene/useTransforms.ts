@@ -45,6 +45,8 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
   let covered: Span | null = null;
   let hasStatics = false;
   let isExtended = false;
+  /** The transforms of another time place what is shown until those of this time come, so that the camera stays. */
+  let isOutdated = false;
   let offset = 0;
 
   /** Returns up to where it read. */
@@ -53,6 +55,7 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
     const isStatic = isStaticTopic(series.topic);
     const untilNs = await readPages(sources, series, request, { signal, priority: priority() }, ({ logTimeNs, product }) => {
       const logSeconds = secondsOfNs(logTimeNs);
+      if (!isStatic) dropOutdated();
       for (const transform of product ?? []) {
         if (transform.stampSeconds !== null && !isStatic) offset = transform.stampSeconds - logSeconds;
         buffer.add(transform, isStatic, logSeconds);
@@ -60,6 +63,11 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
     });
     version.value += 1;
     return untilNs;
+  }
+
+  function dropOutdated(): void {
+    if (isOutdated) buffer.clearDynamic();
+    isOutdated = false;
   }
 
   async function readStatics(): Promise<void> {
@@ -86,10 +94,10 @@ export function useTransforms(priority: () => number, isLacking: Readonly<Ref<bo
       if (covered.toNs >= atNs) return;
     }
     for (const beforeNs of BEFORE_NS) {
-      [covered, isExtended] = [null, false];
-      buffer.clearDynamic();
+      [covered, isExtended, isOutdated] = [null, false, true];
       const fromNs = atNs - beforeNs;
       const untilNs = await readSpan({ fromNs, toNs }, signal);
+      dropOutdated();
       covered = { fromNs, toNs: untilNs };
       if (untilNs >= atNs) return;
     }
