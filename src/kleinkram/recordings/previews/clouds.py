@@ -29,8 +29,8 @@ def thinned_cloud(value: object, topic: str, time_ns: int) -> ThinnedCloud:
         raise DecodeError(type_name(value), "its points have no x, y and z")
     candidates = thinned(cloud, _CANDIDATES)
     with np.errstate(over="ignore", invalid="ignore"):
-        xyz = np.stack([candidates[axis].astype(np.float64) for axis in "xyz"], axis=1)
-        xyz = _in_frame(xyz, part(value, "pose")).astype(np.float32)
+        local = np.stack([candidates[axis].astype(np.float64) for axis in "xyz"], axis=1)
+        xyz = _in_frame(local, part(value, "pose")).astype(np.float32)
     xyz = xyz[np.isfinite(xyz).all(axis=1)]
     xyz = np.ascontiguousarray(thinned(xyz, MAX_POINTS))
     frame_id = str(part(part(value, "header"), "frame_id") or part(value, "frame_id") or "")
@@ -63,10 +63,11 @@ def _in_frame(xyz: NDArray[np.float64], pose: object) -> NDArray[np.float64]:
     length = float(np.sqrt(axis @ axis + scalar * scalar))
     if not np.isfinite(length) or not np.isfinite(position).all():
         return xyz
-    if length == 0:  # left unset
-        return xyz + position
-    turn = 2 * np.cross(axis / length, xyz)
-    return xyz + scalar / length * turn + np.cross(axis / length, turn) + position
+    placed: NDArray[np.float64] = xyz + position
+    if length > 0:  # else it was left unset
+        turn = 2 * np.cross(axis / length, xyz)
+        placed += scalar / length * turn + np.cross(axis / length, turn)
+    return placed
 
 
 def _text(text: str) -> str:

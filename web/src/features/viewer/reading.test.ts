@@ -156,6 +156,12 @@ it("ends what it reads around the play head at a jump, and begins anew after oth
   expect(requests.slice(1)).toEqual([{ fromNs: 98n * SECOND, toNs: 115n * SECOND }]);
   expect(failure.value).toBeNull();
   expect(unread.value.map(({ fromNs }) => fromNs)).toEqual([0n, 115n * SECOND + 1n]);
+  isHeld = true;
+  for (const second of [400n, 500n]) {
+    clock.seek(second * SECOND);
+    await rested();
+  }
+  expect(unread.value.map(({ fromNs }) => fromNs)).toEqual([0n, 115n * SECOND + 1n]); // what was read before stays
 });
 
 const MINUTES = Array.from({ length: 10 }, (_, minute) => BigInt(minute) * 60n * SECOND);
