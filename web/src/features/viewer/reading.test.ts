@@ -30,11 +30,11 @@ interface Made {
   /** Resolves before the reader tells the fields of the topic. */
   readonly beforeFields?: Promise<void>;
   /** Whether curves come only when they are cancelled. */
-  readonly isHeld?: () => boolean;
+  readonly isBlocked?: () => boolean;
 }
 
 /** A viewer of one file with a message in every step of time. */
-function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, preview, isWhole = true, beforeFields = Promise.resolve(), isHeld = () => false }: Made) {
+function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, preview, isWhole = true, beforeFields = Promise.resolve(), isBlocked = () => false }: Made) {
   const requests: { readonly fromNs: bigint; readonly toNs: bigint }[] = [];
   const signals: AbortSignal[] = [];
   const note = (request: { fromNs: bigint; toNs: bigint }): void => {
@@ -60,7 +60,7 @@ function viewerAt(startNs: bigint, { stepNs, curvesNs = SECOND, sizeBytes = 1, p
       }
       note(request);
       signals.push(signal);
-      if (isHeld()) await new Promise((_, reject) => signal.addEventListener("abort", () => reject(new ReadFailure("cancelled"))));
+      if (isBlocked()) await new Promise((_, reject) => signal.addEventListener("abort", () => reject(new ReadFailure("cancelled"))));
       const untilNs = request.fromNs + curvesNs < request.toNs ? request.fromNs + curvesNs : request.toNs;
       return { seconds: [], values: [[]], messages: 0, isWhole, damaged: [], wholeBytes: 2 ** 30, topicBytes: TOPIC_BYTES, untilNs, unstamped: 0 };
     },
@@ -140,23 +140,26 @@ it.each(["curves", "parts"] as const)("reads where the play head went while some
 
 it("ends what it reads around the play head at a jump, and begins anew after others; small steps change nothing", async () => {
   vi.useFakeTimers({ toFake: ["setTimeout", "clearTimeout"] });
-  let isHeld = true;
-  const { using, requests, signals, clock } = viewerAt(300n * SECOND, { ...LARGE, preview: { series: () => Promise.resolve(BINS) }, isHeld: () => isHeld });
+  let isBlocked = true;
+  const { using, requests, signals, clock } = viewerAt(300n * SECOND, { ...LARGE, preview: { series: () => Promise.resolve(BINS) }, isBlocked: () => isBlocked });
   const { failure, unread } = using(() => useCurves(() => series, () => 0, () => null));
   await settled();
   expect(requests).toEqual([{ fromNs: 298n * SECOND, toNs: 315n * SECOND }]);
   clock.seek(300n * SECOND + SECOND / 2n);
   await settled();
   expect(signals.map(({ aborted }) => aborted)).toEqual([false]);
-  for (const second of [200n, 150n, 100n]) clock.seek(second * SECOND), await settled();
+  for (const second of [200n, 150n, 100n]) {
+    clock.seek(second * SECOND);
+    await settled();
+  }
   expect(signals.map(({ aborted }) => aborted)).toEqual([true]);
   expect(requests).toHaveLength(1);
-  isHeld = false;
+  isBlocked = false;
   await rested();
   expect(requests.slice(1)).toEqual([{ fromNs: 98n * SECOND, toNs: 115n * SECOND }]);
   expect(failure.value).toBeNull();
   expect(unread.value.map(({ fromNs }) => fromNs)).toEqual([0n, 115n * SECOND + 1n]);
-  isHeld = true;
+  isBlocked = true;
   for (const second of [400n, 500n]) {
     clock.seek(second * SECOND);
     await rested();

@@ -50,7 +50,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
   const segments = shallowRef<readonly Segment[]>([]);
   const previewed = shallowRef<readonly FileSeries[]>([]);
   const offered = shallowRef<readonly FieldNode[] | null>(null);
-  const { failure, isReading, attempt, attemptUnasked, restart: readAnew, stop: stopReading } = useReading();
+  const { failure, isReading, attempt, attemptUnasked, restart: restartReading, stop: stopReading } = useReading();
   /** Whether the offered fields are those of a preview, which leaves some out and has no vectors. */
   const isPreviewed = ref(false);
   let zoomToRead: Span | null = null;
@@ -207,7 +207,7 @@ export function useCurves(series: () => Series, priority: () => number, zoomed: 
 
   watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
   watch(() => JSON.stringify([offered.value === null, columns.value, time()]), draw);
-  watch(clock.timeNs, (now, before) => void (areFar(now, before) ? thenFollow(readAnew()) : follow()));
+  watch(clock.timeNs, (now, before) => void (areFar(now, before) ? thenFollow(restartReading()) : follow()));
   watch(zoomed, (span) => {
     clearTimeout(zoomTimer);
     zoomTimer = setTimeout(() => {

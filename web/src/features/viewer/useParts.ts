@@ -46,7 +46,7 @@ export type Instead = (files: readonly SourceFile[], signal: AbortSignal) => Pro
 export function useParts<P extends ProductName, Content>(series: () => Series, gathering: Gathering<P, Content>, priority: () => number, instead?: Instead): PartsRead<Content> {
   const { clock, sources } = useViewer();
   const parts = shallowRef<readonly ReadPart<Content>[]>([]);
-  const { failure, isReading, attempt, attemptUnasked, restart: readAnew, stop } = useReading();
+  const { failure, isReading, attempt, attemptUnasked, restart: restartReading, stop } = useReading();
 
   const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
   const unread = computed(() => files.value.flatMap((file) => unreadParts(file, parts.value)));
@@ -114,7 +114,7 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
   }
 
   watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
-  watch(clock.timeNs, (now, before) => void (areFar(now, before) ? thenFollow(readAnew()) : follow()));
+  watch(clock.timeNs, (now, before) => void (areFar(now, before) ? thenFollow(restartReading()) : follow()));
   const inOrder = computed(() => parts.value.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1)));
   return { parts: inOrder, unread, failure, isReading, readAll: () => void thenFollow(readAll()), again: restart };
 }

@@ -1,11 +1,11 @@
 import { mount } from "@vue/test-utils";
 import { afterEach, beforeEach, expect, it, vi } from "vitest";
-import { computed, ref, shallowRef } from "vue";
+import { ref, shallowRef } from "vue";
 import type { MessageAtTime, ShownMessage } from "../useMessageAt";
 import { Previews } from "../previews";
 import { Sources } from "../sources";
 import { viewerKey, type Viewer } from "../viewer";
-import { PATIENCE_MS, usePreviewCloud } from "./usePreviewCloud";
+import { DELAY_MS, usePreviewCloud } from "./usePreviewCloud";
 import { ReadFailure } from "@/recordings/failures";
 import type { PreviewFile } from "@/recordings/preview_file";
 
@@ -30,16 +30,20 @@ function viewerWith(seconds: Readonly<Record<string, readonly number[]>>) {
     previews: new Previews((id) => Promise.resolve(previewOf(id) as PreviewFile)),
   };
   const message = { shown: shallowRef<ShownMessage<"scene"> | null>(null), failure: shallowRef<ReadFailure | null>(null), isReading: ref(true), searchedToNs: shallowRef<bigint | null>(null) };
-  let rough: ReturnType<typeof usePreviewCloud> = computed(() => null);
-  const setup = () => void (rough = usePreviewCloud(() => SERIES, message as unknown as MessageAtTime<"scene">));
+  const results: ReturnType<typeof usePreviewCloud>[] = [];
+  const setup = () => void results.push(usePreviewCloud(() => SERIES, message as unknown as MessageAtTime<"scene">));
   mount({ setup, template: "<i/>" }, { global: { provide: { [viewerKey as symbol]: viewer as unknown as Viewer } } });
-  const shown = () => (rough.value === null ? null : rough.value.logTimeNs / SECOND);
+  const rough = () => results[0]?.value ?? null;
+  const shown = () => {
+    const cloud = rough();
+    return cloud === null ? null : cloud.logTimeNs / SECOND;
+  };
   const seek = (second: number) => (timeNs.value = BigInt(Math.round(second * 1e9)));
   const show = (second: number) => (message.shown.value = { logTimeNs: BigInt(second) * SECOND } as ShownMessage<"scene">);
-  return { message, seek, show, shown, read, rough: () => rough.value };
+  return { message, seek, show, shown, read, rough };
 }
 
-const wait = (ms = PATIENCE_MS) => vi.advanceTimersByTimeAsync(ms);
+const wait = (ms = DELAY_MS) => vi.advanceTimersByTimeAsync(ms);
 beforeEach(() => void vi.useFakeTimers());
 afterEach(() => void vi.useRealTimers());
 
@@ -61,7 +65,7 @@ it("shows the last cloud before the play head, with its finite points, until the
 it("reads nothing of a preview where the message comes soon, nor while playing", async () => {
   const { message, seek, show, read, shown } = viewerWith({ a: [5] });
   seek(10);
-  await wait(PATIENCE_MS - 1);
+  await wait(DELAY_MS - 1);
   show(10);
   await wait();
   seek(10.5);

@@ -10,7 +10,7 @@ import { IDENTITY } from "@/recordings/geometry/poses";
 import type { PreviewCloud, PreviewFile } from "@/recordings/preview_file";
 
 /** Over a fast line, messages come before that, and no cloud of a preview flickers. */
-export const PATIENCE_MS = 150;
+export const DELAY_MS = 150;
 
 interface Loaded {
   /** The time of the play head for which it is the last cloud. */
@@ -64,7 +64,7 @@ export function usePreviewCloud(series: () => Series, { shown, failure, isReadin
   watch(isDue, (due) => {
     clearTimeout(timer);
     isLate.value = false;
-    if (due) timer = setTimeout(() => (isLate.value = true), PATIENCE_MS);
+    if (due) timer = setTimeout(() => (isLate.value = true), DELAY_MS);
   }, { immediate: true });
   watch([isLate, clock.timeNs], () => isLate.value && load(clock.timeNs.value));
   onScopeDispose(() => clearTimeout(timer));
