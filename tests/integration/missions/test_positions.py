@@ -1,6 +1,9 @@
 """Where missions were recorded: positions of previews and metadata, of what the actor may see."""
 
+import itertools
+import re
 import uuid
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import psycopg
@@ -12,6 +15,9 @@ from kleinkram.server.missions import positions
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.sample import Sample
+from tests.integration.upload_client import wait_until
+
+_WAITING = "SELECT count(*) FROM pg_locks WHERE NOT granted"
 
 _FIELDS = """
 fields:
@@ -52,6 +58,62 @@ def test_the_position_is_that_of_the_earliest_recording_that_has_one(api: Api, s
     assert answer["items"][0]["mission"]["name"] == mission["name"]
     assert answer["items"][0]["mission"]["project"] == {"id": project["id"], "name": project["name"]}
     assert (answer["unplaced_count"], answer["left_out_count"]) == (0, 0)
+
+
+def test_files_have_the_position_of_the_preview_of_their_bytes(api: Api, sample: Sample) -> None:
+    mission_id = api.mission(api.project()["id"])["id"]
+    first = sample.file(mission_id, "first.mcap")
+    _place(api, first, 47.1, 8.1)
+    (blob_id,) = api.sql("SELECT blob_id FROM file WHERE id = %s", first)[0]
+    sample.link(mission_id, "linked.mcap", str(blob_id))
+    assert _positions_of_files(api, mission_id) == [(47.1, 8.1)] * 2
+    api.sql("UPDATE recording_preview SET latitude = 47.2, longitude = 8.2 WHERE blob_id = %s", blob_id)
+    assert _positions_of_files(api, mission_id) == [(47.2, 8.2)] * 2
+    api.sql("DELETE FROM recording_preview WHERE blob_id = %s", blob_id)
+    assert _positions_of_files(api, mission_id) == [(None, None)] * 2
+    _place(api, first, None, None)
+    assert _positions_of_files(api, mission_id) == [(None, None)] * 2
+
+
+def test_a_file_that_is_added_while_its_position_is_stored_has_it(api: Api, sample: Sample) -> None:
+    mission_id = api.mission(api.project()["id"])["id"]
+    first = sample.file(mission_id, "first.mcap")
+    _place(api, first, None, None)
+    link = (
+        "INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id)"
+        " SELECT gen_random_uuid(), mission_id, blob_id, 'b.mcap', 'b.mcap', origin, uploaded_by_id FROM file"
+        " WHERE id = %s"
+    )
+    store = (
+        "UPDATE recording_preview SET latitude = 47, longitude = 8"
+        " WHERE blob_id = (SELECT blob_id FROM file WHERE id = %s)"
+    )
+    info = api.database.info
+    with ThreadPoolExecutor(1) as pool, psycopg.connect(info.dsn, password=info.password) as adding:
+        adding.execute(link, [first])
+        storing = pool.submit(api.sql, store, first)
+        wait_until(lambda: storing.done() or adding.execute(_WAITING).fetchone() != (0,))
+        adding.commit()
+        storing.result(30)
+    assert _positions_of_files(api, mission_id) == [(47.0, 8.0)] * 2
+
+
+def _positions_of_files(api: Api, mission_id: str) -> list[tuple[float | None, float | None]]:
+    return api.sql("SELECT latitude, longitude FROM file WHERE mission_id = %s", mission_id)
+
+
+def test_a_map_reads_one_entry_of_an_index_for_each_mission(api: Api) -> None:
+    """Not their files, of which a map of 2,000 missions has a million, nor the previews of these."""
+    with api.statements() as statements:
+        _positions(api)
+    (statement,) = [one for one in statements if "recorded.latitude" in one]
+    numbers = itertools.count(1)
+    statement = re.sub(r"%\(\w+\)s", lambda _: f"${next(numbers)}", statement)
+    api.sql("SET enable_seqscan = off")
+    plan = "\n".join(line for (line,) in api.sql(f"EXPLAIN (GENERIC_PLAN) {statement}"))
+    api.sql("RESET enable_seqscan")
+    assert "Index Only Scan using ix_file_position on file" in plan
+    assert "recording_preview" not in plan
 
 
 def test_files_in_the_trash_and_derived_files_place_nothing(api: Api, sample: Sample) -> None:

@@ -6,6 +6,7 @@ Bounded whatever the recording: topics, fields, pictures and lines are counted, 
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Iterable, Iterator
@@ -138,20 +139,21 @@ class _PreviewBuilder:
         """Read the messages; return what was read of the recording."""
         if not self._readers:
             return _WHOLE
-        until_cpu_s, until_s = time.process_time() + limits.cpu_s, time.monotonic() + limits.wall_s
         parts = _Parts(recording, frozenset(self._readers), limits)
-        done_share = 0.0
         try:
-            for block, done_share in parts.blocks():
-                self._add(block)
-                if time.process_time() > until_cpu_s or time.monotonic() > until_s:
-                    return parts.read(done_share)
-        except TooDisordered:
-            return parts.read(done_share)
+            with contextlib.suppress(TooDisordered):
+                self._add_until(limits, parts.blocks())
         finally:
             for topic in list(self._readers):
                 self._finish(topic)
-        return parts.read(1.0)
+        return parts.read()
+
+    def _add_until(self, limits: PreviewLimits, blocks: Iterable[Block]) -> None:
+        until_cpu_s, until_s = time.process_time() + limits.cpu_s, time.monotonic() + limits.wall_s
+        for block in blocks:
+            self._add(block)
+            if time.process_time() > until_cpu_s or time.monotonic() > until_s:
+                return
 
     def _add(self, block: Block) -> None:
         readers = self._readers
@@ -210,6 +212,8 @@ class _Parts:
         self._recording, self._topics = recording, topics
         self._segments: list[Segment] | None = None
         self._places: list[int] = []
+        self._done_share = 0.0  # of what is read at all
+        self._spans: list[tuple[int, int]] = []  # of the segments that were read, the last one maybe in part
         if recording.size_bytes > limits.whole_bytes:
             segments = recording.segments(sorted(topics))
             step = max(1.0, sum(segment.size_bytes for segment in segments) / limits.whole_bytes)
@@ -217,27 +221,39 @@ class _Parts:
             self._segments = [segments[place] for place in self._places]
             self._share = 1 / step
 
-    def read(self, done_share: float) -> ReadParts:
-        """Return what was read when this share of the parts was, from 0 to 1."""
-        if self._segments is None:
-            return ReadParts(done_share * self._share, _WHOLE.spans)
+    def read(self) -> ReadParts:
+        """Return what was read until now."""
         runs: list[tuple[int, int]] = []
-        for number, segment in enumerate(self._segments[: round(done_share * len(self._segments))]):
+        for number, (first_ns, last_ns) in enumerate(self._spans):
             if number and self._places[number] == self._places[number - 1] + 1:  # nothing lies between the two
-                runs[-1] = min(runs[-1][0], segment.first_ns), max(runs[-1][1], segment.last_ns)
+                runs[-1] = min(runs[-1][0], first_ns), max(runs[-1][1], last_ns)
             else:
-                runs.append((segment.first_ns, segment.last_ns))
-        return ReadParts(done_share * self._share, joined_spans(runs))
+                runs.append((first_ns, last_ns))
+        return ReadParts(self._done_share * self._share, joined_spans(runs))
 
-    def blocks(self) -> Iterator[tuple[Block, float]]:
-        """Yield messages by time, and how much of these parts was read, from 0 to 1."""
+    def blocks(self) -> Iterator[Block]:
+        """Yield messages by time."""
         if self._segments is None:
             for block in merged_blocks([self._recording], Selection(self._topics)):
-                yield block, _share_of_time(self._recording, block[-1].log_time_ns) if block else 0.0
-            return
-        for number, segment in enumerate(self._segments, 1):
-            for block in self._recording.segment_messages(segment, sorted(self._topics)):
-                yield block, number / len(self._segments)
+                if block:
+                    self._done_share = _share_of_time(self._recording, block[-1].log_time_ns)
+                yield block
+        else:
+            for number, segment in enumerate(self._segments):
+                for block in self._recording.segment_messages(segment, sorted(self._topics)):
+                    if block:
+                        self._note(number, segment, block[-1].log_time_ns)
+                    yield block
+                self._note(number, segment, segment.last_ns)
+        self._done_share = 1.0
+
+    def _note(self, number: int, segment: Segment, time_ns: int) -> None:
+        """Note that a segment, the last one that was begun, was read until a time."""
+        until_ns = max(segment.first_ns, min(time_ns, segment.last_ns))
+        self._spans[number:] = [(segment.first_ns, until_ns)]
+        length_ns = segment.last_ns - segment.first_ns
+        share = (until_ns - segment.first_ns) / length_ns if length_ns > 0 else 1.0
+        self._done_share = (number + share) / len(self._places)
 
 
 def _share_of_time(recording: Recording, time_ns: int) -> float:

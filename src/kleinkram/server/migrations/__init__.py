@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _HERE = Path(__file__).parent
 # ArrayText down, so that a process that only serves need not load Alembic to know them.
 INITIAL = "0100"
-HEAD = "0117"
+HEAD = "0118"
 # Revisions below INITIAL existed during development only; one migration replaced them.
 _LAST_COMMIT_BEFORE_INITIAL = "530100f"
 

@@ -17,6 +17,7 @@ from sqlalchemy import (
     false,
     func,
     literal,
+    literal_column,
     select,
     true,
 )
@@ -32,7 +33,6 @@ from kleinkram.contract.mission_positions import (
     PositionSource,
 )
 from kleinkram.contract.missions import MissionFilter, MissionSort
-from kleinkram.contract.recording_previews import RecordingPreviewState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, visible_missions
 from kleinkram.server.db import Connection
@@ -40,7 +40,7 @@ from kleinkram.server.filters.missions import filter_missions, filter_missions_b
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare_statement
 from kleinkram.server.missions.queries import mission_listing, mission_order, mission_ref
 from kleinkram.server.pagination import in_order
-from kleinkram.server.tables import DERIVED_ORIGIN, file, mission, project, recording_preview
+from kleinkram.server.tables import DERIVED_ORIGIN, file, mission, project
 
 _LATEST = MissionSort.start_desc
 # `strict`: no array stands for its elements. What is no number is not in range.
@@ -108,15 +108,13 @@ def _latest_positions(
 
 def _recorded_position(actor: Actor, listed: Subquery) -> LateralFromClause:
     """Return the first position of each mission's recordings that are shown to `actor`."""
-    stmt = select(recording_preview.c.latitude, recording_preview.c.longitude)
-    stmt = stmt.join_from(file, recording_preview, recording_preview.c.blob_id == file.c.blob_id)
-    stmt = stmt.where(
+    stmt = select(file.c.latitude, file.c.longitude).where(
         file.c.mission_id == listed.c.id,
         file.c.deleted_at.is_(None),
-        file.c.origin != DERIVED_ORIGIN,
+        # A literal: the condition of the index.
+        file.c.origin != literal_column(f"'{DERIVED_ORIGIN}'"),
+        file.c.latitude.is_not(None),
         shown_files(actor),
-        recording_preview.c.state == RecordingPreviewState.ready.value,
-        recording_preview.c.latitude.is_not(None),
     )
     return stmt.order_by(file.c.start_ns.asc().nulls_last(), file.c.id).limit(1).lateral("recorded")
 

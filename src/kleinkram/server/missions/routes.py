@@ -28,8 +28,8 @@ from kleinkram.server.pagination import PageRequest
 router = APIRouter(prefix="/api/v1", tags=["missions"], responses=FAILURE_RESPONSES)
 
 
-class MissionPositionsQuery(MissionFilter):
-    """Query parameters of a map of missions; `query` finds missions by their own fields or by their files."""
+class MissionQuery(MissionFilter):
+    """Query parameters that select missions; `query` finds missions by their own fields or by their files."""
 
     query: QueryText | None = None
 
@@ -44,8 +44,8 @@ class MissionPositionsQuery(MissionFilter):
         return None if self.query is None else parse(self.query)
 
 
-class MissionListQuery(MissionPositionsQuery):
-    """Query parameters of a list of missions; `query` finds missions by their own fields or by their files.
+class MissionListQuery(MissionQuery):
+    """Query parameters of a list of missions.
 
     `sort` is a column, or a field of the metadata such as `meta.robot`; a leading `-` reverses it.
     """
@@ -77,7 +77,7 @@ async def list_missions(
 
 @router.get("/mission-positions", operation_id="list_mission_positions")
 async def list_mission_positions(
-    query: Annotated[MissionPositionsQuery, Query()], db: Reading, actor: CurrentActor
+    query: Annotated[MissionQuery, Query()], db: Reading, actor: CurrentActor
 ) -> MissionPositions:
     """Return where the latest missions that match were recorded: their first positions."""
     return await positions.list_mission_positions(db, actor, matching=query.matching, by_files=query.by_files)

@@ -191,6 +191,9 @@ file = sa.Table(
     sa.Column("blob_id", sa.Uuid, sa.ForeignKey("blob.id"), nullable=False, index=True),
     # Copied from its blob by triggers.
     sa.Column("start_ns", sa.BigInteger),
+    # The first position of its recording, copied from the preview of its blob by triggers.
+    sa.Column("latitude", sa.Double),
+    sa.Column("longitude", sa.Double),
     sorted_text("path"),
     sorted_text("path_key"),
     sa.Column("origin", sa.Text, nullable=False),
@@ -215,6 +218,15 @@ file = sa.Table(
         "id",
         postgresql_where=sa.text("deleted_at IS NULL"),
         postgresql_include=["start_ns", "blob_id", "mission_id"],
+    ),
+    # For the first position of a mission.
+    sa.Index(
+        "ix_file_position",
+        "mission_id",
+        "start_ns",
+        "id",
+        postgresql_where=sa.text("latitude IS NOT NULL AND deleted_at IS NULL AND origin <> 'run'"),
+        postgresql_include=["latitude", "longitude"],
     ),
     sa.Index("ix_file_deleted_at", "deleted_at", postgresql_where=sa.text("deleted_at IS NOT NULL")),
     sa.Index("ix_file_labels", "labels", postgresql_using="gin"),

@@ -8,6 +8,7 @@ import json
 import math
 import struct
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 from PIL import Image
 
 from kleinkram.recordings import Recording
+from kleinkram.recordings.formats.rosbag2 import db3
 from kleinkram.recordings.previews import (
     LogSeverity,
     PreviewLimits,
@@ -27,7 +29,7 @@ from kleinkram.recordings.previews import builder as builder_module
 from kleinkram.recordings.previews.thumbnails import thumbnail
 from tests.recording_files.builders import mcap_of
 from tests.recording_files.memory_source import MemorySource
-from tests.recording_files.ros_messages import SECOND, T0, TimedMessage, ros1_bag, ros2_mcap
+from tests.recording_files.ros_messages import SECOND, T0, TimedMessage, ros1_bag, ros2_db3, ros2_mcap
 from tests.recording_files.tables import json_mcap
 from tests.recording_files.writers import McapWriter
 
@@ -369,6 +371,18 @@ def test_a_large_recording_is_read_in_parts_that_are_spread_over_it() -> None:
     assert sum(messages_of_part) == len(low), "every message is of one of the parts"
     steps = np.diff(series.first_ns)
     assert (steps > SECOND).sum() == len(preview.read_spans) - 1, "times that were not read lie between parts only"
+
+
+def test_a_part_whose_reading_ended_early_ends_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(db3, "_SLICE_BYTES", 2**16)
+    monkeypatch.setattr(db3, "_BLOCK_ROWS", 20)
+    path = ros2_db3([imu(number, number) for number in range(1_500)], tmp_path / "bag")
+    with Recording.open(path) as recording:
+        limits = PreviewLimits(whole_bytes=recording.size_bytes // 2, cpu_s=0)
+        preview = read_preview(make_preview(recording, limits))
+    assert values_by_field(preview, "/imu")["linear_acceleration.x"] == [*range(20)]
+    assert preview.read_spans.tolist() == [[T0, T0 + 19 * SECOND]]
+    assert preview.read_share == pytest.approx(20 / 1_500, rel=0.2)
 
 
 def test_a_recording_that_is_read_as_a_whole_names_no_parts() -> None:
