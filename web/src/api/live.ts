@@ -9,6 +9,9 @@ import { useMe } from "./session";
 const GATHER_MS = 250;
 /** The minimum time between refetches during constant changes. */
 const MIN_MS = 2000;
+/** The same for answers that cost more, and change little with most changes. */
+const SLOW_MIN_MS = 15_000;
+const SLOW: ReadonlySet<unknown> = new Set(["mission-positions"]);
 /** The time after which a rejected stream is tried again: the user may have signed in. */
 const POLL_MS = 5000;
 
@@ -32,27 +35,44 @@ function parsed(text: string): unknown {
   }
 }
 
+export interface Refetching {
+  readonly add: (key: readonly unknown[]) => void;
+  readonly stop: () => void;
+}
+
+/** Gathers keys, and hands them over together, at most once in `minMs`. */
+export function refetching(minMs: number, refetch: (key: readonly unknown[]) => void): Refetching {
+  let timer: ReturnType<typeof setTimeout> | undefined;
+  let refetchedAt = -minMs;
+  const old = new Map<string, readonly unknown[]>();
+
+  function refetchAll(): void {
+    timer = undefined;
+    refetchedAt = performance.now();
+    for (const key of old.values()) refetch(key);
+    old.clear();
+  }
+
+  function add(key: readonly unknown[]): void {
+    old.set(JSON.stringify(key), key);
+    timer ??= setTimeout(refetchAll, Math.max(GATHER_MS, refetchedAt + minMs - performance.now()));
+  }
+
+  return { add, stop: () => clearTimeout(timer) };
+}
+
 /** Listens to a stream of events at a path, for as long as the component lives; a path of null listens to nothing. */
 export function useLive(path: WatchSource<string | null>, options: LiveOptions): Live {
   const queries = useQueryClient();
   const breaks = ref(0);
   let source: EventSource | null = null;
-  let timer: ReturnType<typeof setTimeout> | undefined;
   let again: ReturnType<typeof setTimeout> | undefined;
-  let refreshedAt = -MIN_MS;
   let isBroken = false;
-  const old = new Map<string, readonly unknown[]>();
-
-  function refresh(): void {
-    timer = undefined;
-    refreshedAt = performance.now();
-    for (const queryKey of old.values()) void queries.invalidateQueries({ queryKey });
-    old.clear();
-  }
+  const refetch = (queryKey: readonly unknown[]): void => void queries.invalidateQueries({ queryKey });
+  const [often, seldom] = [refetching(MIN_MS, refetch), refetching(SLOW_MIN_MS, refetch)];
 
   function note(event: MessageEvent<string>): void {
-    for (const key of options.keysOf(event.type, parsed(event.data))) old.set(JSON.stringify(key), key);
-    if (old.size > 0) timer ??= setTimeout(refresh, Math.max(GATHER_MS, refreshedAt + MIN_MS - performance.now()));
+    for (const key of options.keysOf(event.type, parsed(event.data))) (SLOW.has(key[0]) ? seldom : often).add(key);
   }
 
   function connected(): void {
@@ -92,7 +112,8 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
     }
   });
   onScopeDispose(() => {
-    clearTimeout(timer);
+    often.stop();
+    seldom.stop();
     close();
   });
   return { breaks };
@@ -107,6 +128,8 @@ interface Change {
   readonly project_id: string | null;
 }
 
+/** Where missions are on a map: the files, metadata and rights of any may move, show or hide one. */
+const POSITIONS: Key = ["mission-positions"];
 /** An answer whose key begins with nothing is any. */
 const EVERYTHING: readonly Key[] = [[]];
 
@@ -120,13 +143,13 @@ function inMission(change: Change): Key[] {
 }
 
 const OF_RESOURCE_TYPES: Readonly<Record<string, (change: Change) => readonly Key[]>> = {
-  file: (change) => [...inMission(change), ["files", "list"], ["trash"], ...(change.id === null ? [["files", "one"]] : [keys.file(change.id)])],
+  file: (change) => [...inMission(change), POSITIONS, ["files", "list"], ["trash"], ...(change.id === null ? [["files", "one"]] : [keys.file(change.id)])],
   recording: (change) => [...inMission(change), ["files", "list"]],
   upload: (change) => (change.mission_id === null ? [] : [keys.uploads(change.mission_id)]),
   mission_event: () => [["mission-events"]],
   viewer_layout: () => [["viewer-layouts"]],
-  mission: (change) => [change.id === null ? ["missions"] : keys.mission(change.id), ["missions", "list"], ["projects"], ["trash"], ["stats"]],
-  project: () => [["projects"], ["missions"], ["trash"], ["stats"]],
+  mission: (change) => [change.id === null ? ["missions"] : keys.mission(change.id), ["missions", "list"], POSITIONS, ["projects"], ["trash"], ["stats"]],
+  project: () => [["projects"], ["missions"], POSITIONS, ["trash"], ["stats"]],
   run: (change) => [
     ["runs", "list"],
     change.id === null ? ["runs"] : keys.run(change.id),
@@ -134,7 +157,7 @@ const OF_RESOURCE_TYPES: Readonly<Record<string, (change: Change) => readonly Ke
     ...(change.mission_id === null ? [] : [keys.missionPreviews(change.mission_id)]),
   ],
   action: () => [["actions"]],
-  grant: () => [["access"], ["projects"], ["missions"]],
+  grant: () => [["access"], ["projects"], ["missions"], POSITIONS],
   share: () => [["shares"]],
   group: () => [["groups"], ["access"]],
   person: () => [["people"], ["groups"]],

@@ -71,6 +71,7 @@ export const keys = {
   template: (projectId: string) => ["projects", "one", projectId, "template"],
   missions: (query: Query = {}) => ["missions", "list", query],
   mission: (id: string) => ["missions", "one", id],
+  missionPositions: (query: Query = {}) => ["mission-positions", query],
   missionGrants: (id: string) => ["access", "mission", id, "grants"],
   missionChecks: (id: string) => ["missions", "one", id, "checks"],
   projectChecks: (id: string) => ["projects", "one", id, "checks"],

@@ -104,8 +104,20 @@ describe("tiles", () => {
     expect(tiles.every(({ key }) => Number(key.split("/")[2]) >= 0)).toBe(true);
   });
 
-  it("are none where nothing is to be seen, or where they would be very many", () => {
+  it("are those of a lower zoom where they would be too many", () => {
+    const size = { width: 7_680, height: 4_320 }; // 31 × 17 tiles of the nearest zoom
+    const tiles = tilesOf(SOURCE, viewAt(12), size);
+    expect(new Set(tiles.map((tile) => `${tile.url.split("/")[3]} ${tile.size}`))).toEqual(new Set(["11 512"]));
+    expect(tiles.length).toBeLessThanOrEqual(200);
+    expect(Math.min(...tiles.map(({ left }) => left))).toBeLessThanOrEqual(0);
+    expect(Math.max(...tiles.map(({ top, size: pixels }) => top + pixels))).toBeGreaterThanOrEqual(4_320);
+    const huge = tilesOf(SOURCE, viewAt(12), { width: 1e6, height: 1e6 });
+    expect(huge.length).toBeGreaterThan(50);
+    expect(huge.length).toBeLessThanOrEqual(200);
+  });
+
+  it("are none where nothing is to be seen, or where the world would be drawn very often", () => {
     expect(tilesOf(SOURCE, viewAt(3), { width: 0, height: 0 })).toEqual([]);
-    expect(tilesOf({ ...SOURCE, max_zoom: 19 }, viewAt(8), { width: 40_000, height: 40_000 })).toEqual([]);
+    expect(tilesOf(SOURCE, viewAt(0), { width: 256 * 300, height: 300 })).toEqual([]);
   });
 });

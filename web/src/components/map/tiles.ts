@@ -21,15 +21,25 @@ export interface Tile {
 const TILE_PX = 256;
 const MAX_TILES = 200;
 
-/** Returns the tiles that cover an area; none where that would be very many. */
-export function tilesOf({ url, max_zoom: maxZoom }: TileSource, { centre, scale }: MapView, { width, height }: Size): Tile[] {
-  const zoom = Math.max(0, Math.min(maxZoom, Math.round(Math.log2(scale / TILE_PX))));
+/** Returns the tiles that cover an area, enlarged ones where they would be too many; none where the world is too small for that. */
+export function tilesOf(source: TileSource, view: MapView, size: Size): Tile[] {
+  const nearest = Math.max(0, Math.min(source.max_zoom, Math.round(Math.log2(view.scale / TILE_PX))));
+  for (let zoom = nearest; zoom >= 0; zoom -= 1) {
+    const tiles = tilesAt(zoom, source, view, size);
+    if (tiles !== null) return tiles;
+  }
+  return [];
+}
+
+/** Returns the tiles of a zoom; null for more than `MAX_TILES`. */
+function tilesAt(zoom: number, { url }: TileSource, { centre, scale }: MapView, { width, height }: Size): Tile[] | null {
   const count = 2 ** zoom;
   const size = scale / count;
   const [left, top] = [centre.x * count - width / 2 / size, centre.y * count - height / 2 / size];
   const columns = numbersFrom(Math.floor(left), Math.floor(left + width / size));
   const rows = numbersFrom(Math.max(0, Math.floor(top)), Math.min(count - 1, Math.floor(top + height / size)));
-  if (width <= 0 || height <= 0 || columns.length * rows.length > MAX_TILES) return [];
+  if (width <= 0 || height <= 0) return [];
+  if (columns.length * rows.length > MAX_TILES) return null;
   return rows.flatMap((row) =>
     columns.map((column) => {
       const wrapped = ((column % count) + count) % count; // the world goes on at the date line

@@ -9,7 +9,7 @@ export type PositionsQuery = NonNullable<operations["list_mission_positions"]["p
 
 export function useMissionPositions(query: () => PositionsQuery) {
   return useQuery({
-    queryKey: computed(() => [...keys.missions(query()), "positions"]),
+    queryKey: computed(() => keys.missionPositions(query())),
     queryFn: ({ signal }) => call(api.GET("/api/v1/mission-positions", { params: { query: query() }, signal })),
     placeholderData: keepPreviousData,
   });

@@ -1,6 +1,6 @@
 // What a share link shows, and the data of its viewer.
-import { useQuery } from "@tanstack/vue-query";
-import { computed } from "vue";
+import { useInfiniteQuery, useQuery } from "@tanstack/vue-query";
+import { computed, watch } from "vue";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
@@ -12,8 +12,8 @@ import { topicOfFile, useMissionData, useReadableFiles, type ViewerData, type Vi
 export type Shared = components["schemas"]["SharedRead"];
 type WithRecording = Pick<File, "id" | "recording_id">;
 
-/** Files whose topics are requested one by one. */
-const MAX_SINGLE_FILES = 200;
+/** Files whose topics are requested at once. Further ones follow. */
+const AT_ONCE = 100;
 
 /** Returns what the link of this page shows. */
 export function useShared() {
@@ -29,17 +29,32 @@ export function useSharedData({ mission, is_whole_mission: isWhole }: Shared): V
   if (isWhole) return source;
   const files = useReadableFiles(mission.id);
   const topics = useMissionTopics(mission.id, () => true);
-  const single = computed(() => (files.data.value && topics.data.value ? filesOutside(files.data.value, topics.data.value.recordings).slice(0, MAX_SINGLE_FILES) : undefined));
-  const ofFiles = useQuery({
-    queryKey: computed(() => [...keys.mission(mission.id), "topics-of-files", single.value?.map(({ id }) => id)]),
-    queryFn: async ({ signal }) => new Map(await Promise.all((single.value ?? []).map(async ({ id }) => [id, await fetchFileTopics(id, signal)] as const))),
-    enabled: () => single.value !== undefined,
-  });
+  const single = computed(() => (files.data.value && topics.data.value ? filesOutside(files.data.value, topics.data.value.recordings).map(({ id }) => id) : undefined));
+  const ofFiles = useTopicsOfFiles(mission.id, () => single.value);
   return {
-    data: computed(() => (source.data.value && ofFiles.data.value ? withTopicsOf(source.data.value, ofFiles.data.value) : null)),
+    data: computed(() => (source.data.value && ofFiles.topics.value ? withTopicsOf(source.data.value, ofFiles.topics.value) : null)),
     error: computed(() => source.error.value ?? ofFiles.error.value),
-    again: () => Promise.all([source.again(), ofFiles.refetch()]),
-    isComplete: source.isComplete,
+    again: () => Promise.all([source.again(), ofFiles.again()]),
+    isComplete: () => source.isComplete() && ofFiles.isComplete(),
+  };
+}
+
+/** Loads the topics of files of a mission, some files at a time; those that have arrived are shown meanwhile. */
+export function useTopicsOfFiles(missionId: string, files: () => readonly string[] | undefined, fetchTopics = fetchFileTopics) {
+  const query = useInfiniteQuery({
+    queryKey: computed(() => [...keys.mission(missionId), "topics-of-files", files()]),
+    queryFn: ({ pageParam: first, signal }) => Promise.all((files() ?? []).slice(first, first + AT_ONCE).map(async (id) => [id, await fetchTopics(id, signal)] as const)),
+    initialPageParam: 0,
+    getNextPageParam: (_last, pages) => (pages.length * AT_ONCE < (files()?.length ?? 0) ? pages.length * AT_ONCE : undefined),
+    enabled: () => files() !== undefined,
+  });
+  const isNextDue = () => query.hasNextPage.value && !query.isFetching.value && query.error.value === null;
+  watch(isNextDue, (isDue) => isDue && void query.fetchNextPage(), { immediate: true });
+  return {
+    topics: computed<ReadonlyMap<string, readonly Topic[]> | undefined>(() => query.data.value && new Map(query.data.value.pages.flat())),
+    error: query.error,
+    again: query.refetch,
+    isComplete: () => query.isSuccess.value && !query.hasNextPage.value,
   };
 }
 
