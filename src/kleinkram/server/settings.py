@@ -308,7 +308,8 @@ class Settings(BaseSettings):
         default=None,
         description="Address of the tiles of a map (Web Mercator, 256 pixels), such as "
         "`https://tiles.lab.example/{z}/{x}/{y}.png`. Browsers fetch them from there, and so tell that server where "
-        "their users look. Default: none; maps have a plain grid.",
+        "their users look. Every visitor can read it, also a key in it, without signing in: use a key that the tile "
+        "server accepts for the pages of this server only. Default: none; maps have a plain grid.",
     )
     map_tiles_attribution: str | None = Field(
         default=None,

@@ -15,8 +15,8 @@ export const texts = {
   close: "Close the list",
   moreHere: (count: number) => `${counted(count, "more mission")} here are not listed.`,
   shown: (count: number) => `${counted(count, "mission")} on the map, where their recordings have the first GNSS fix, or at the location in their metadata.`,
-  unplaced: (count: number) => `${counted(count, "mission")} without a known position.`,
+  unplaced: (count: number) => `Not on the map: ${counted(count, "mission")} with neither a GNSS fix in the previews of recordings nor coordinates in the metadata. Shapes (GeoJSON) do not place a mission.`,
   leftOut: (count: number) => `${counted(count, "earlier mission")} not shown. Filter to see them.`,
   nothing: "No mission with a position",
-  nothingWhy: "Positions come from the previews of recordings with GNSS fixes, and from metadata fields of the type location.",
+  nothingWhy: "Positions come from the previews of recordings with GNSS fixes, and from metadata fields of the type location that have coordinates. Shapes (GeoJSON) do not place a mission.",
 } as const;

@@ -42,23 +42,23 @@ const AFTER_MESSAGES = 1_000;
 /** Shows something else instead of the beginning of a series; returns whether it did. */
 export type Instead = (files: readonly SourceFile[], signal: AbortSignal) => Promise<boolean>;
 
-/** Gathers messages of a series, and follows it and the play head. */
-export function useParts<P extends ProductName, Content>(series: () => Series, gathering: Gathering<P, Content>, priority: () => number, instead?: Instead): PartsRead<Content> {
+/** Gathers messages of a series, and follows it and the play head; without a series, it reads nothing. */
+export function useParts<P extends ProductName, Content>(series: () => Series | undefined, gathering: Gathering<P, Content>, priority: () => number, instead?: Instead): PartsRead<Content> {
   const { clock, sources } = useViewer();
   const parts = shallowRef<readonly ReadPart<Content>[]>([]);
   const { failure, isReading, attempt, attemptUnasked, restart: restartReading, stop } = useReading();
 
-  const files = computed(() => sources.recordings.find(({ key }) => key === series().recording)?.files ?? []);
+  const files = computed(() => sources.recordings.find(({ key }) => key === series()?.recording)?.files ?? []);
   const unread = computed(() => files.value.flatMap((file) => unreadParts(file, parts.value)));
 
   /** Reads pages of an unread part; returns how many. */
   async function read(file: SourceFile, part: Span, maxPages: number, signal: AbortSignal): Promise<number> {
-    const others = parts.value;
+    const [source, others] = [series(), parts.value];
     let { empty: content } = gathering;
     let pages = 0;
-    for (let { fromNs } = part; fromNs <= part.toNs && pages < maxPages; pages += 1) {
+    for (let { fromNs } = part; source !== undefined && fromNs <= part.toNs && pages < maxPages; pages += 1) {
       const request = { product: gathering.product, fromNs, toNs: part.toNs, maxMessages: PAGE_MESSAGES, maxBytes: PAGE_BYTES };
-      const answer = await sources.messages(file, series(), request, { signal, priority: priority() + AFTER_MESSAGES });
+      const answer = await sources.messages(file, source, request, { signal, priority: priority() + AFTER_MESSAGES });
       if (signal.aborted) break;
       const untilNs = answer?.untilNs ?? part.toNs;
       content = gathering.add(content, answer?.messages ?? []);
@@ -113,7 +113,7 @@ export function useParts<P extends ProductName, Content>(series: () => Series, g
     if (await reading) await follow();
   }
 
-  watch(() => `${series().recording} ${series().topic}`, restart, { immediate: true });
+  watch(() => `${series()?.recording} ${series()?.topic}`, restart, { immediate: true });
   watch(clock.timeNs, (now, before) => void (areFar(now, before) ? thenFollow(restartReading()) : follow()));
   const inOrder = computed(() => parts.value.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1)));
   return { parts: inOrder, unread, failure, isReading, readAll: () => void thenFollow(readAll()), again: restart };

@@ -40,9 +40,14 @@ export function isPositionType(messageType: string | null): boolean {
   return messageType !== null && FIX.test(messageType);
 }
 
+/** Whether messages of a type have shapes instead of a position. */
+export function isShapesType(messageType: string | null): boolean {
+  return messageType !== null && SHAPES.test(messageType);
+}
+
 /** Whether messages of a type can be shown on a map. */
 export function isLocationType(messageType: string | null): boolean {
-  return isPositionType(messageType) || (messageType !== null && SHAPES.test(messageType));
+  return isPositionType(messageType) || isShapesType(messageType);
 }
 
 /** Return where something is. @throws ReadFailure message_damaged, where the text is no GeoJSON; too_large. */
