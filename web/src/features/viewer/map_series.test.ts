@@ -6,6 +6,7 @@ import MapSeries from "./MapSeries.vue";
 import { Previews } from "./previews";
 import { Sources, type FileReader } from "./sources";
 import { viewerKey, type Viewer } from "./viewer";
+import type { Value } from "@/recordings/decoding/decoder";
 import { locationOf } from "@/recordings/products/location";
 import type { MessagesRequest } from "@/recordings/products/products";
 
@@ -14,7 +15,7 @@ const FENCE = JSON.stringify({ type: "LineString", coordinates: [[8.5, 47.3], [8
 const NOWHERE = JSON.stringify({ type: "FeatureCollection", features: [] });
 
 /** Returns the legend of a topic whose messages are all the same, and how often a track was asked for. */
-async function legendOf(messageType: string, value: Record<string, unknown>) {
+async function legendOf(messageType: string, value: Value) {
   const message = { logTimeNs: 0n, publishTimeNs: 0n, sequence: 0, sizeBytes: 1, product: locationOf(value) };
   let tracks = 0;
   const reader = {
