@@ -106,7 +106,7 @@ def _tile_server() -> Iterator[tuple[int, list[tuple[str, str | None]]]]:
 def _check_map(shown: dict[str, Any], requests: list[tuple[str, str | None]], cluster: Cluster) -> None:
     first = shown["shown"]
     assert (first["placed"], first["clusters"], first["missions"]) == (4, ["3"], ["depot"])
-    assert "1 mission without a known position." in first["notes"]
+    assert "Not on the map: 1 mission with neither a GNSS fix" in first["notes"]
     assert first["attribution"] == "© <b>Tiles</b> of a test"
     assert shown["far"] == ["4"]
     assert shown["near"] == {"clusters": ["3"], "missions": ["depot"]}
