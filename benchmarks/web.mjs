@@ -2,6 +2,7 @@
 // frame in which it is there. Prints the figures as JSON: milliseconds, bytes.
 // Arguments: the folder with playwright-core, the browser, a link that signs in, the server's address, and as JSON the
 // pages: how often to measure, names of project, mission and file, addresses of large missions and recordings.
+import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 
 const [web, executablePath, link, address, told] = process.argv.slice(2);
@@ -10,7 +11,7 @@ const places = JSON.parse(told);
 const PATIENCE_MS = 60_000;
 const QUIET_MS = 500;
 const JUMPS = 40;
-const PLAYED_MS = 30_000;
+const PLAYED_MS = 60_000;
 const ROW = "[role=row][data-index]:not(:has(.coming))";
 const HOME = [{ css: `[data-recent] ${ROW}` }];
 
@@ -175,19 +176,39 @@ async function scrolled(path, wanted, ready = async () => {}) {
   return seen;
 }
 
-const inLayout = () => `${places.viewerPath}?${places.layout.map((panel) => `p=${encodeURIComponent(panel)}`).join("&")}`;
+const inLayout = (path, layout) => `${path}?${layout.map((panel) => `p=${encodeURIComponent(panel)}`).join("&")}`;
 const VIEWED = [{ css: "[data-panel] [data-log-time]" }, { css: "[data-plot][data-messages]" }];
+/** All panels are in sight: those out of sight are not read. */
+const WIDE = { viewport: { width: 1920, height: 1080 } };
+const SCRUBBER = "[data-transport] input[type=range]";
 
-/** Opens the viewer, jumps to times all over the mission, and plays; milliseconds, seconds and bytes. */
+/** Opens the viewer, and jumps to times all over the mission: to each, away, and back; milliseconds and bytes. */
 async function viewed() {
   const opened = await times(places.times, () => cold(places.viewerPath, VIEWED, bytesRead));
-  const { context, page } = await stranger(VIEWED);
-  await page.goto(`${address}${inLayout()}`, { waitUntil: "commit" });
+  const { context, page } = await stranger(VIEWED, WIDE);
+  await page.goto(`${address}${inLayout(places.viewerPath, places.layout)}`, { waitUntil: "commit" });
   await page.evaluate(() => globalThis.wanted);
-  const scrubber = page.locator("[data-transport] input[type=range]");
-  const jumps = [];
-  for (let number = 0; number < JUMPS; number += 1) jumps.push(await scrubber.evaluate(jumped, ((number * 37) % 97) / 110));
-  await scrubber.evaluate(jumped, 0.1);
+  const scrubber = page.locator(SCRUBBER);
+  const jumps = { unread: [], read: [] };
+  for (let number = 0; number < JUMPS; number += 1) {
+    const [there, before] = [((number * 37) % 97) / 110, (((number - 1) * 37) % 97) / 110];
+    jumps.unread.push(await scrubber.evaluate(jumped, there));
+    if (number === 0) continue;
+    await scrubber.evaluate(jumped, before);
+    jumps.read.push(await scrubber.evaluate(jumped, there));
+  }
+  await context.close();
+  return { opened, jumps };
+}
+
+/** Plays a minute, and then the same minute again and again; seconds, milliseconds, and bytes of the tab. */
+async function played() {
+  const { context, page } = await stranger(VIEWED, WIDE);
+  await page.goto(`${address}${inLayout(places.playedPath, places.playedLayout)}`, { waitUntil: "commit" });
+  await page.evaluate(() => globalThis.wanted);
+  const scrubber = page.locator(SCRUBBER);
+  await scrubber.evaluate(jumped, 0.01);
+  const points = Number(await page.locator("[data-drawn-points]").getAttribute("data-drawn-points"));
   await page.evaluate(() => (globalThis.tasks.length = 0));
   const playHead = async () => Number(BigInt(await page.locator("[data-transport]").getAttribute("data-time")) / 1_000_000n) / 1_000;
   const from = await playHead();
@@ -196,11 +217,36 @@ async function viewed() {
   await page.waitForTimeout(PLAYED_MS);
   await page.locator("body").press(" ");
   const seconds = (performance.now() - began) / 1_000;
-  const longest = await page.evaluate(() => Math.max(0, ...globalThis.tasks.map(({ duration }) => duration)));
-  const heap = await page.evaluate(() => performance.memory.usedJSHeapSize);
-  const played = { seconds, played: (await playHead()) - from, longest, heap };
+  const { longest, long } = await page.evaluate(() => ({ longest: Math.max(0, ...globalThis.tasks.map(({ duration }) => duration)), long: globalThis.tasks.length }));
+  const shownSeconds = (await playHead()) - from;
+  const renderer = await rendererOf(page);
+  const tabBytes = [];
+  const memoryFrom = performance.now();
+  for (const until = memoryFrom + places.memoryMs; performance.now() < until; ) {
+    await scrubber.evaluate(jumped, 0.01);
+    await page.locator("body").press(" ");
+    for (let part = 0; part < 6; part += 1) {
+      await page.waitForTimeout(PLAYED_MS / 6);
+      tabBytes.push(privateBytes(renderer));
+    }
+    await page.locator("body").press(" ");
+  }
   await context.close();
-  return { opened, jumps, played };
+  return { seconds, played: shownSeconds, longest, long, points, tabBytes, minutes: (performance.now() - memoryFrom) / 60_000 };
+}
+
+/** The process of a page's tab: of all tabs, that with the most CPU time, since no other does anything. */
+async function rendererOf(page) {
+  const session = await page.context().browser().newBrowserCDPSession();
+  const { processInfo } = await session.send("SystemInfo.getProcessInfo");
+  await session.detach();
+  return processInfo.filter(({ type }) => type === "renderer").toSorted((one, other) => other.cpuTime - one.cpuTime)[0].id;
+}
+
+/** Bytes of a process that are its own, and its share of those that it shares with others. */
+function privateBytes(pid) {
+  const [, kilobytes] = /^Pss:\s+(\d+) kB/m.exec(readFileSync(`/proc/${pid}/smaps_rollup`, "utf8"));
+  return Number(kilobytes) * 1024;
 }
 
 /** Runs in the page: moves the scrubber to a share of the time; milliseconds until all panels of messages show it. */
@@ -249,6 +295,7 @@ if (asked.has("picture")) {
   }
 }
 if (asked.has("viewer")) result.viewer = await viewed();
+if (asked.has("playing")) result.playing = await played();
 if (asked.has("scroll")) {
   const shownRows = [{ css: `main ${ROW}`, least: 3 }];
   const scrolls = {

@@ -76,8 +76,8 @@ def test_the_viewer_shows_what_was_recorded_at_each_time(
     results = run_browser("viewer.mjs", shared_cluster, pictures, *arguments, timeout_s=560)
 
     assert [results[name] for name in ("consoleErrors", "axe", "overflowing", "executed")] == [[], [], [], []]
-    narrow = [f"Image: {_CAMERA}", "Map: /gps/fix", "3D: /lidar/points", f"Raw messages: {_IMU}"]
-    assert results["defaults"] == [*narrow, f"Plot: {_IMU}", "Log: /log"]
+    first_row, others = [f"Image: {_CAMERA}", "3D: /lidar/points"], ["Map: /gps/fix", f"Raw messages: {_IMU}"]
+    assert results["defaults"] == [*first_row, f"Plot: {_IMU}", *others, "Log: /log"]
     _assert_formats(results["later"], paths, later_ns)
     imu_count = next(topic.count for topic in mcap.topics if topic.name == _IMU)
     assert int(results["later"]["plot"]["messages"]) < imu_count, "a plot reads part of a large recording"

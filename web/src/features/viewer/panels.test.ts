@@ -21,6 +21,13 @@ it("leaves no panel alone in its row", () => {
   expect(layout(topic("/imu", "sensor_msgs/msg/Imu"))).toEqual(["plot* /imu", "raw* /imu"]);
 });
 
+it("shows the plot in the second row, however much there is", () => {
+  const cameras = ["/a", "/b", "/c"].map((name) => topic(name, "sensor_msgs/Image"));
+  const topics = [topic("/points", "sensor_msgs/PointCloud2"), topic("/gps", "sensor_msgs/NavSatFix"), topic("/imu", "sensor_msgs/Imu", 900)];
+  expect(layout(...topics, ...cameras)).toEqual(["image /a", "image /b", "plot* /imu", "image /c", "scene /points", "map /gps", "raw /imu"]);
+  expect(layout(...topics, ...cameras.slice(0, 1))).toEqual(["image /a", "scene /points", "plot* /imu", "map /gps", "raw /imu"]);
+});
+
 it("shows a topic of several recordings once, and no topic without messages", () => {
   expect(layout(topic("/left", "sensor_msgs/Image", 5, "a"), topic("/left", "sensor_msgs/Image", 5, "b"), topic("/right", "sensor_msgs/Image", 0))).toEqual(["image /left", "raw /left"]);
 });

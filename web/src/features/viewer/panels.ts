@@ -64,12 +64,9 @@ export function defaultLayout(topics: readonly ViewerTopic[], kinds: readonly Pa
   return withoutGap(panels);
 }
 
-/** Returns the panels without one that stands alone in its row: a later one comes beside it, or it becomes wide. */
+/** Returns the panels with the first wide one in the second row, in sight; one that would stand alone in its row becomes wide. */
 function withoutGap(panels: Panel[]): Panel[] {
-  const firstWide = panels.findIndex(({ isWide }) => isWide);
-  const filler = panels.findIndex(({ isWide }, place) => place > firstWide && !isWide);
-  const standsAlone = firstWide % 2 === 1;
-  const sorted = standsAlone && filler >= 0 ? panels.toSpliced(filler, 1).toSpliced(firstWide, 0, ...panels.slice(filler, filler + 1)) : panels;
+  const sorted = withWideInSight(panels);
   let column = 0;
   return sorted.map((panel, place) => {
     const isLastOfRow = sorted[place + 1]?.isWide !== false;
@@ -77,4 +74,12 @@ function withoutGap(panels: Panel[]): Panel[] {
     column = panel.isWide || isAlone || column === 1 ? 0 : 1;
     return isAlone ? { ...panel, isWide: true } : panel;
   });
+}
+
+function withWideInSight(panels: Panel[]): Panel[] {
+  const firstWide = panels.findIndex(({ isWide }) => isWide);
+  if (firstWide < 1) return panels;
+  const others = panels.toSpliced(firstWide, 1);
+  const narrow = others.findIndex(({ isWide }, place) => isWide || place === 2);
+  return others.toSpliced(narrow < 0 ? others.length : narrow, 0, ...panels.slice(firstWide, firstWide + 1));
 }
