@@ -143,6 +143,7 @@ async function table() {
   await page.locator("[data-show]").selectOption("curves");
   await page.locator("[data-table-curves] canvas").waitFor();
   await page.locator('[data-field="square"]').uncheck();
+  await page.locator('[data-table-curves] [role=img]:not([aria-label*="square"])').waitFor();
   shown.curves = await page.locator("[data-table-curves] [role=img]").getAttribute("aria-label");
   await check("table.csv curves");
   shown.address = page.url();

@@ -10,6 +10,14 @@ const { results, openPage, checkPage, printResults } = await openBrowser(web, ex
 let isRefused = false;
 const { page } = await openPage(() => isRefused);
 results.views = {};
+await page.addInitScript(() => {
+  globalThis.linkedPrograms = 0;
+  const { linkProgram } = WebGL2RenderingContext.prototype;
+  WebGL2RenderingContext.prototype.linkProgram = function link(program) {
+    globalThis.linkedPrograms += 1;
+    return linkProgram.call(this, program);
+  };
+});
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
@@ -80,7 +88,24 @@ async function showLate(view) {
   await page.screenshot({ path: `${pictures}/scene-refused.png` });
 }
 
-for (const view of JSON.parse(json)) {
+/** Shows one cloud after the other; returns the shader programs that were linked before and afterwards. */
+async function step(view) {
+  await open(view);
+  const topic = page.locator("[data-scene-topic]");
+  const linked = () => page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => setTimeout(() => resolve(globalThis.linkedPrograms)))));
+  const stepped = { times: [await topic.getAttribute("data-log-time")], before: await linked() };
+  for (let number = 0; number < 3; number += 1) {
+    await page.keyboard.press("ArrowRight");
+    await page.waitForFunction((time) => document.querySelector("[data-scene-topic]").dataset.logTime > time, stepped.times.at(-1));
+    stepped.times.push(await topic.getAttribute("data-log-time"));
+    await linked();
+  }
+  return { ...stepped, after: await linked() };
+}
+
+const views = JSON.parse(json);
+results.stepped = await step(views[0]);
+for (const view of views) {
   await open(view);
   if (view.missing) await page.waitForFunction((count) => document.querySelectorAll("[data-missing-transform]").length === count, view.missing);
   else await page.waitForFunction((count) => Number(document.querySelector("[data-scene]")?.dataset.items) >= count, view.items ?? 1);

@@ -84,6 +84,9 @@ def test_3d_panels_show_the_recorded_points_poses_and_markers(
     assert shown["afterRough"]["topics"][0]["logTime"] == str(late_ns)
     assert "rough" not in shown["afterRough"]["topics"][0]
     assert all(view["colours"] > _BACKGROUND_COLOURS for view in shown.values()), "something is drawn"
+    stepped = results["stepped"]
+    assert len(set(stepped["times"])) == 4
+    assert 0 < stepped["before"] == stepped["after"], "shaders are not compiled again for each cloud"
     assert "frame=base" in unquote(results["address"])
     assert results["hasTurned"]
     assert results["time"] == str(_TIME_NS), "keys that turn the camera do not move the play head"

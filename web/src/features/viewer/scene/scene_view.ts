@@ -40,6 +40,7 @@ export class SceneView {
   private readonly camera = new PerspectiveCamera(50, 1, NEAR_M, FAR_M);
   private readonly controls: OrbitControls;
   private readonly drawn = new Map<PlacedItem["item"], Drawn>();
+  private readonly removed: (() => void)[] = [];
   private grid: GridHelper | null = null;
   private gridCellM = 0;
   private frames: Drawn | null = null;
@@ -168,9 +169,10 @@ export class SceneView {
   }
 
   dispose(): void {
-    cancelAnimationFrame(this.pending);
     this.reset();
     this.showFrames([]);
+    cancelAnimationFrame(this.pending);
+    this.freeRemoved();
     this.grid?.dispose();
     this.controls.dispose();
     this.renderer.dispose();
@@ -185,10 +187,15 @@ export class SceneView {
     return drawn;
   }
 
+  /** Frees an object once what replaces it is drawn: shaders that nothing uses in between would be compiled again. */
   private remove({ object, dispose }: SceneObject): void {
     this.scene.remove(object);
-    dispose();
+    this.removed.push(dispose);
     this.requestRender();
+  }
+
+  private freeRemoved(): void {
+    for (const dispose of this.removed.splice(0)) dispose();
   }
 
   private place(drawn: Drawn, pose: Pose, styledAs: string): void {
@@ -216,6 +223,7 @@ export class SceneView {
       this.pending = 0;
       this.placeGrid();
       this.renderer.render(this.scene, this.camera);
+      this.freeRemoved();
     });
   }
 
