@@ -222,14 +222,36 @@ def test_an_ending_that_is_seen_late_counts(one: OneJob) -> None:
     assert ending.reason is EndReason.exit_code
 
 
-def test_a_job_that_slurm_forgot_is_submitted_three_times_at_most(one: OneJob) -> None:
+def end_of(one: OneJob, state: str | None = None) -> Ending:
+    """Return how a job ends that Slurm shows in this state, or does not know, under each of its names."""
+    while True:
+        one.queue.show(one.name if state else None, state or "")
+        if (ending := one.executor.poll(one.job)) is not None:
+            return ending
+
+
+def test_a_job_that_slurm_forgot_is_submitted_ten_times_at_most(one: OneJob) -> None:
     one.executor.submit(one.job)
-    ending = None
-    while ending is None:
+    ending = end_of(one)
+    assert (ending.reason, len(one.commands.names)) == (EndReason.lost, 10)
+    assert ending.message == "Slurm forgot its job 10 times: 10 was last."
+    assert len({*one.commands.names}) == 10
+
+
+def test_a_job_whose_node_fails_is_submitted_three_times_at_most(one: OneJob) -> None:
+    one.executor.submit(one.job)
+    ending = end_of(one, "NODE_FAIL")
+    assert (ending.reason, len({*one.commands.names})) == (EndReason.lost, 3)
+
+
+def test_forgotten_jobs_do_not_count_as_those_whose_node_failed(one: OneJob) -> None:
+    one.executor.submit(one.job)
+    while len(one.commands.names) < 6:
         one.queue.show()
-        ending = one.executor.poll(one.job)
-    assert (ending.reason, len(one.commands.names)) == (EndReason.lost, 3)
-    assert len({*one.commands.names}) == 3
+        assert one.executor.poll(one.job) is None
+    one.again()  # also not in the next process of the runner
+    assert end_of(one, "NODE_FAIL").reason is EndReason.lost
+    assert len(one.commands.names) == 5 + 3
 
 
 def test_a_controller_that_does_not_answer_ends_no_job(one: OneJob) -> None:

@@ -5,6 +5,7 @@ has lasted for a while.
 """
 
 import json
+import logging
 import signal
 
 from kleinkram.contract.runs import EndReason
@@ -24,6 +25,8 @@ from kleinkram.runner.executors.slurm.states import (
 from kleinkram.runner.executors.slurm.submissions import SubmittedJob, Submitter
 from kleinkram.runner.executors.supervision import CANCELLED, LEASE_EXPIRED, boot_time_s, ending_file
 
+_log = logging.getLogger("kleinkram.runner")
+
 # Of running jobs, and of waiting ones, which may have started since.
 _READ_ENDING_EVERY_S = (0.5, 5.0)
 # How long Slurm must show a job as ended, or not at all, before that is believed: one that is about to be started again
@@ -33,6 +36,8 @@ _SETTLED_S = 6.0
 _LOST_ANSWER_S = 10.0
 # A job that crashes its node each time is not submitted for ever.
 _MAX_SUBMISSIONS = 3
+# A controller that is killed before it saves its state forgets jobs, which says nothing about them.
+_MAX_FORGOTTEN = 10
 _MAX_RELEASES = 3
 _RELEASE_EVERY_S = 5.0
 _NOT_ACCOUNTED_S = 5.0
@@ -131,12 +136,17 @@ class JobEndings:
         return self._end_or_submit_again(job, submitted, entry)
 
     def _end_or_submit_again(self, job: RunJob, submitted: SubmittedJob, entry: QueueEntry | None) -> Ending | None:
-        ending = self._ending_by_state(submitted, entry)
-        if ending.reason is EndReason.lost and submitted.submission.number < _MAX_SUBMISSIONS:
+        ending, submission = self._ending_by_state(submitted, entry), submitted.submission
+        if ending is None:
+            if submission.forgotten + 1 < _MAX_FORGOTTEN:
+                return self._submit_again(job, submitted, is_forgotten=True)
+            return Ending(EndReason.lost, f"Slurm forgot its job {_MAX_FORGOTTEN} times: {submission.job_id} was last.")
+        if ending.reason is EndReason.lost and submission.number < _MAX_SUBMISSIONS:
             return self._submit_again(job, submitted)
         return ending
 
-    def _ending_by_state(self, submitted: SubmittedJob, entry: QueueEntry | None) -> Ending:
+    def _ending_by_state(self, submitted: SubmittedJob, entry: QueueEntry | None) -> Ending | None:
+        """Return the ending that Slurm shows; None if it forgot the job."""
         job_id = submitted.submission.job_id
         node = submitted.start.node if submitted.start is not None else ""
         if entry is not None:
@@ -144,19 +154,23 @@ class JobEndings:
         self._ask_account(submitted)
         if submitted.account is not None:
             return ending_of(submitted.account.state, "None", job_id, node)
-        return Ending(EndReason.lost, f"Slurm does not know its job {job_id} any more.")
+        return None
 
-    def _submit_again(self, job: RunJob, submitted: SubmittedJob) -> Ending | None:
+    def _submit_again(self, job: RunJob, submitted: SubmittedJob, *, is_forgotten: bool = False) -> Ending | None:
         """Submit a job again under a new name. The first, should it still start or go on, notices that and ends."""
         previous = submitted.submission
-        # A submission that Slurm did not get does not count.
-        known = int(bool(previous.job_id))
         name = self._submitter.new_name(job.key)
-        submission = Submission(name, number=previous.number + known)
+        submission = Submission(name, number=previous.number, forgotten=previous.forgotten)
+        if is_forgotten:
+            submission = submission._replace(forgotten=previous.forgotten + 1)
+        elif previous.job_id:  # one that Slurm did not get does not count
+            submission = submission._replace(number=previous.number + 1)
         try:
             write_submission(job.directory, submission)
         except OSError:  # the shared file system is not available
             return None
+        why = "Slurm forgot it" if is_forgotten else "it was lost" if previous.job_id else "Slurm did not get it"
+        _log.warning("the job %s (%s) is submitted again: %s", previous.job_id or previous.name, job.key, why)
         self._queue.forget(previous.name)
         submitted.submission = submission
         submitted.settled_at_s, submitted.entry, submitted.start, submitted.account = None, None, None, None

@@ -26,13 +26,14 @@ _RUN, _CANCEL = "run", "cancel"
 class Submission(NamedTuple):
     """A submission of a job, recorded before it is made. `job_id` is empty until Slurm has answered.
 
-    `name` is that of the job in Slurm; of a task of a job array, with its number. `number` counts those submissions of
-    the job that Slurm had.
+    `name` is that of the job in Slurm; of a task of a job array, with its number. `number` counts the submissions of
+    the job, `forgotten` not among them: those that Slurm had, and then did not know any more.
     """
 
     name: str
     job_id: str = ""
     number: int = 1
+    forgotten: int = 0
 
 
 class NodeStart(NamedTuple):
