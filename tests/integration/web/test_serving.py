@@ -90,7 +90,7 @@ def test_the_content_security_policy_allows_own_scripts_and_the_store(api: Api) 
         assert directives["default-src"] == "'none'"
         assert directives["script-src"] == "'self' 'wasm-unsafe-eval'"
         assert directives["style-src"] == directives["worker-src"] == "'self'"
-        assert directives["connect-src"] == f"'self' {settings.store_origin}"
+        assert directives["connect-src"] == f"'self' {settings.store_origin} data:"
         assert directives["media-src"] == settings.store_origin
         assert directives.keys().isdisjoint({"frame-src", "object-src"}), "files of others are never framed"
         assert directives["frame-ancestors"] == "'none'"

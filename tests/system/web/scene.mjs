@@ -10,13 +10,17 @@ const { results, openPage, checkPage, printResults } = await openBrowser(web, ex
 let isRefused = false;
 const { page } = await openPage(() => isRefused);
 results.views = {};
-await page.addInitScript(() => {
-  globalThis.linkedPrograms = 0;
-  const { linkProgram } = WebGL2RenderingContext.prototype;
-  WebGL2RenderingContext.prototype.linkProgram = function link(program) {
-    globalThis.linkedPrograms += 1;
-    return linkProgram.call(this, program);
-  };
+// Of the worker that draws, since scripts of a page do not run there.
+const COUNT_LINKS = `globalThis.linkedPrograms = 0;
+const { linkProgram } = WebGL2RenderingContext.prototype;
+WebGL2RenderingContext.prototype.linkProgram = function link(program) {
+  globalThis.linkedPrograms += 1;
+  return linkProgram.call(this, program);
+};
+`;
+await page.route(/\/scene_worker[^/]*\.js$/, async (route) => {
+  const response = await route.fetch();
+  await route.fulfill({ response, body: `${COUNT_LINKS}${await response.text()}` });
 });
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
@@ -49,8 +53,20 @@ async function state() {
   return { topics, label: await canvas.getAttribute("aria-label"), fixedFrame, items: Number(items), missing, colours: await colours(canvas) };
 }
 
-/** Returns how many different colours the drawing has, from a screenshot, since WebGL keeps no picture. */
+const BACKGROUND_COLOURS = 20;
+
+/** Returns how many different colours the drawing has. What the worker has drawn is seen a moment later. */
 async function colours(canvas) {
+  let count = await coloursOf(canvas);
+  for (let number = 0; count <= BACKGROUND_COLOURS && number < 50; number += 1) {
+    await page.waitForTimeout(100);
+    count = await coloursOf(canvas);
+  }
+  return count;
+}
+
+/** Reads a screenshot, since WebGL keeps no picture. */
+async function coloursOf(canvas) {
   const bytes = (await canvas.screenshot()).toString("base64");
   return page.evaluate(async (text) => {
     const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))], { type: "image/png" }));
@@ -92,7 +108,8 @@ async function showLate(view) {
 async function step(view) {
   await open(view);
   const topic = page.locator("[data-scene-topic]");
-  const linked = () => page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => setTimeout(() => resolve(globalThis.linkedPrograms)))));
+  const drawing = page.workers().find((worker) => worker.url().includes("/scene_worker"));
+  const linked = () => drawing.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => setTimeout(() => resolve(globalThis.linkedPrograms)))));
   const stepped = { times: [await topic.getAttribute("data-log-time")], before: await linked() };
   for (let number = 0; number < 3; number += 1) {
     await page.keyboard.press("ArrowRight");
@@ -124,7 +141,11 @@ for (const view of views) {
     await canvas.focus();
     await page.keyboard.press("Shift+ArrowLeft");
     await page.keyboard.press("Shift+ArrowUp");
-    results.hasTurned = !before.equals(await canvas.screenshot());
+    results.hasTurned = false;
+    for (let number = 0; !results.hasTurned && number < 50; number += 1) {
+      await page.waitForTimeout(100);
+      results.hasTurned = !before.equals(await canvas.screenshot());
+    }
     results.time = await page.locator("[data-scene-topic]").first().getAttribute("data-log-time");
     await page.getByRole("checkbox", { name: view.series[0] }).uncheck();
     await page.locator("[data-drawn-points='0']").waitFor();

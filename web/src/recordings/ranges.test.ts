@@ -41,6 +41,35 @@ describe("Ranges", () => {
     expect(answers).toEqual([2 * BLOCK, blocks * BLOCK]);
   });
 
+  it("fetches the next range while the one before it is used, once three came in order", async () => {
+    const { ranges, answers } = storeOf(BYTES);
+    for (const block of [0, 1, 2]) await ranges.read(block * BLOCK, BLOCK);
+    await vi.waitFor(() => expect(answers).toEqual([BLOCK, BLOCK, BLOCK, BLOCK]));
+    expect(ranges.bytesRead).toBe(3 * BLOCK);
+    expect(await ranges.read(3 * BLOCK, 10)).toEqual(BYTES.slice(3 * BLOCK, 3 * BLOCK + 10));
+    expect(ranges.bytesRead).toBe(4 * BLOCK);
+    await vi.waitFor(() => expect(answers).toHaveLength(5));
+    expect(await ranges.read(0, BYTES.length)).toEqual(BYTES);
+    expect(answers.reduce((sum, length) => sum + length, 0)).toBe(BYTES.length);
+  });
+
+  it("fetches nothing ahead over a slow line", async () => {
+    let nowMs = 0;
+    const { ranges, answers } = storeOf(BYTES, { now: () => (nowMs += 300) });
+    for (const block of [0, 1, 2, 3]) await ranges.read(block * BLOCK, BLOCK);
+    await vi.waitFor(() => expect(answers).toHaveLength(4));
+  });
+
+  it("fetches a range again that could not be fetched ahead", async () => {
+    const { ranges, answers, change } = storeOf(BYTES);
+    for (const block of [0, 1]) await ranges.read(block * BLOCK, BLOCK);
+    const third = ranges.read(2 * BLOCK, BLOCK);
+    await vi.waitFor(() => expect(answers).toHaveLength(3));
+    change(BYTES.slice().fill(0));
+    await third;
+    await expect(ranges.read(3 * BLOCK, 1)).rejects.toMatchObject({ code: "file_changed" });
+  });
+
   it("asks for another address when one expires, by the clock or by the store's word", async () => {
     const soon = storeOf(BYTES, { lifeMs: 1000 });
     await soon.ranges.read(0, 1);

@@ -18,7 +18,7 @@ export interface ByteSource {
 /** A source that reads at least `ahead` bytes at once, for sequential reads. */
 export interface Source extends ByteSource {
   ahead: number;
-  /** Bytes that came over the network. */
+  /** Bytes that were read of the store. */
   readonly bytesRead: number;
 }
 
@@ -34,14 +34,24 @@ export interface RangesOptions {
 
 const RENEW_BEFORE_MS = 30_000;
 const MAX_AHEAD_MS = 1000;
+/** What is fetched without being asked for comes within this time: a more urgent range hardly waits for it. */
+const MAX_NEXT_MS = 250;
+/** So many ranges side by side are a recording that is read from message to message. */
+const LEAST_IN_ORDER = 3;
 const EXPIRED = new Set([400, 401, 403]);
 /** Pauses before a range is requested again that the network interrupted. */
 const REPEAT_AFTER_MS = [250, 1000, 3000];
 
+/** A range that is fetched while the one before it is used. Places are blocks. */
+interface NextRange {
+  readonly from: number;
+  /** Null where that failed: it is fetched again once it is needed, and fails where somebody waits for it. */
+  readonly bytes: Promise<Uint8Array | null>;
+}
+
 /** A file in the store. Not for use by several readers at once: it keeps one signal and one way of reading ahead. */
 export class Ranges implements Source {
   readonly sizeBytes: number;
-  /** Bytes that came over the network. */
   bytesRead = 0;
   /** Read at least this many bytes at once, or what comes within a second; for reading on and on. */
   ahead = 0;
@@ -51,8 +61,13 @@ export class Ranges implements Source {
   private readonly blocks = new Map<number, Uint8Array>();
   private address: Address | undefined;
   private etag: string | undefined;
-  /** Of the last range that was read; while it is read, nothing else is. */
+  private renewing: Promise<Address> | null = null;
+  /** Of the last range that was read. */
   private bytesPerMs = Infinity;
+  /** Where the last range ended, in blocks, and how many began where the one before them ended. */
+  private end = -1;
+  private inOrder = 0;
+  private next: NextRange | null = null;
 
   constructor(private readonly options: RangesOptions) {
     this.sizeBytes = options.sizeBytes;
@@ -77,9 +92,32 @@ export class Ranges implements Source {
 
   /** Fetch from `block` to the next one that is there already, or to `last`, or further if reading ahead. */
   private async fetchBlocks(block: number, last: number): Promise<Uint8Array> {
-    const blocks = Math.ceil(this.sizeBytes / BLOCK);
+    const bytes = (this.next?.from === block ? await this.next.bytes : null) ?? (await this.fetchNow(block, last));
+    this.bytesRead += bytes.length;
+    for (let at = 0; at < bytes.length; at += BLOCK) this.cache(block + at / BLOCK, bytes.slice(at, at + BLOCK));
+    this.inOrder = block === this.end ? this.inOrder + 1 : 1;
+    this.end = block + Math.ceil(bytes.length / BLOCK);
+    if (this.inOrder >= LEAST_IN_ORDER) this.fetchNext(bytes.length);
+    if (this.signal?.aborted === true) throw new ReadFailure("cancelled");
+    return bytes;
+  }
+
+  private fetchNow(block: number, last: number): Promise<Uint8Array> {
     const ahead = Math.min(this.ahead, MAX_AHEAD_MS * this.bytesPerMs);
-    const limit = Math.min(blocks, Math.max(last, block + Math.ceil(ahead / BLOCK)));
+    return this.fetchUpTo(block, Math.max(last, block + Math.ceil(ahead / BLOCK)));
+  }
+
+  /** Begin to fetch what comes after the last range. */
+  private fetchNext(length: number): void {
+    const from = this.end;
+    const count = Math.floor(Math.min(length, MAX_NEXT_MS * this.bytesPerMs) / BLOCK);
+    const isNeeded = count > 0 && from * BLOCK < this.sizeBytes && !this.blocks.has(from);
+    this.next = isNeeded ? { from, bytes: this.fetchUpTo(from, from + count).catch(() => null) } : null;
+  }
+
+  /** Fetch from a block to another, the end, or the first one that is there already. */
+  private async fetchUpTo(block: number, last: number): Promise<Uint8Array> {
+    const limit = Math.min(Math.ceil(this.sizeBytes / BLOCK), last);
     let until = block + 1;
     while (until < limit && !this.blocks.has(until)) until += 1;
     const start = block * BLOCK;
@@ -87,7 +125,6 @@ export class Ranges implements Source {
     const startMs = now();
     const bytes = await this.fetchRange(start, Math.min(until * BLOCK, this.sizeBytes));
     this.bytesPerMs = bytes.length / Math.max(1, now() - startMs);
-    for (let at = 0; at < bytes.length; at += BLOCK) this.cache(block + at / BLOCK, bytes.slice(at, at + BLOCK));
     return bytes;
   }
 
@@ -126,14 +163,20 @@ export class Ranges implements Source {
   private async fetchOnce(start: number, end: number, timeout: AbortSignal): Promise<Uint8Array> {
     const now = this.options.now ?? Date.now;
     const isFresh = this.address !== undefined && this.address.expiresAtMs - RENEW_BEFORE_MS > now();
-    this.address = isFresh && this.address !== undefined ? this.address : await this.options.renew();
+    this.address = isFresh && this.address !== undefined ? this.address : await this.renewed();
     let response = await this.request(this.address.url, start, end, timeout);
     if (isFresh && EXPIRED.has(response.status)) {
-      this.address = await this.options.renew();
+      this.address = await this.renewed();
       response = await this.request(this.address.url, start, end, timeout);
     }
     if (!response.ok) throw new ReadFailure("store_refused", String(response.status));
     return this.body(response, start, end);
+  }
+
+  /** Two ranges that need another address get the same one. */
+  private renewed(): Promise<Address> {
+    this.renewing ??= this.options.renew().finally(() => (this.renewing = null));
+    return this.renewing;
   }
 
   private async request(url: string, start: number, end: number, timeout: AbortSignal): Promise<Response> {
@@ -184,7 +227,6 @@ export class Ranges implements Source {
         if (at + part.value.length > length) throw new ReadFailure("file_changed", String(at + part.value.length));
         bytes.set(part.value, at);
         at += part.value.length;
-        this.bytesRead += part.value.length;
         this.options.onBytes?.(part.value.length);
       }
     } catch (thrown) {

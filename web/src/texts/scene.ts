@@ -10,7 +10,8 @@ const missing: Readonly<Record<MissingTransform["reason"], (frame: string, fixed
 };
 
 export const texts = {
-  noWebGl: "This browser does not support WebGL 2, which 3D panels need.",
+  noWebGl: "This browser does not support WebGL 2 in workers, which 3D panels need.",
+  sceneEnded: "This 3D panel stopped. Reload the page to see it again.",
   keys: "Drag to turn, drag with the right button to move. Click, then use the wheel to zoom. Shift+arrow keys turn.",
   fit: "Show everything",
   fromTop: "View from above",

@@ -63,7 +63,8 @@ def app_policy(settings: Settings) -> str:
     return (
         "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; font-src 'self'; "
         f"img-src 'self' blob: data:{tiles}; media-src {settings.store_origin}; "
-        f"connect-src 'self' {settings.store_origin}; worker-src 'self'; "
+        # data: is how the decompression of zstd brings its WebAssembly.
+        f"connect-src 'self' {settings.store_origin} data:; worker-src 'self'; "
         "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     )
 

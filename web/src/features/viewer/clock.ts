@@ -19,8 +19,8 @@ const NS_PER_MS = 1e6;
 const SKIPPED_NS = 2_000_000_000n;
 /** A frame that comes later than this did not play: the window was hidden. */
 const MAX_FRAME_MS = 1_000;
-/** More frames than these take time from reading and drawing, and show no more: cameras record 10 to 30 a second. */
-const LEAST_FRAME_MS = 30;
+/** About 30 frames a second: more take time from reading and drawing, and show no more. Cameras record 10 to 30. */
+const FRAME_AFTER_MS = 22;
 /** The play head waits for panels that have been reading for so long. */
 const LATE_MS = 400;
 
@@ -71,6 +71,7 @@ export function useClock(span: Span, recorded: readonly Span[], startNs: bigint)
   const loop = shallowRef<Span | null>(null);
   const waiting = new Set<{ readonly sinceMs: number }>();
   let frame = 0;
+  let timer: ReturnType<typeof setTimeout> | undefined;
   let lastMs = 0;
 
   function isLate(nowMs: number): boolean {
@@ -78,14 +79,23 @@ export function useClock(span: Span, recorded: readonly Span[], startNs: bigint)
   }
 
   function play(nowMs: number): void {
-    frame = requestAnimationFrame(play);
-    if (nowMs - lastMs < LEAST_FRAME_MS) return;
+    next();
     const elapsedMs = Math.min(nowMs - lastMs, MAX_FRAME_MS);
     lastMs = nowMs;
     if (isLate(performance.now())) return;
-    const next = advanced({ timeNs: timeNs.value, span, loop: loop.value, recorded }, elapsedMs, speed.value);
-    timeNs.value = next.timeNs;
-    if (next.isAtEnd) isPlaying.value = false;
+    const head = advanced({ timeNs: timeNs.value, span, loop: loop.value, recorded }, elapsedMs, speed.value);
+    timeNs.value = head.timeNs;
+    if (head.isAtEnd) isPlaying.value = false;
+  }
+
+  /** A frame that is requested is drawn even if nothing changes. */
+  function next(): void {
+    timer = setTimeout(() => (frame = requestAnimationFrame(play)), FRAME_AFTER_MS);
+  }
+
+  function stop(): void {
+    clearTimeout(timer);
+    cancelAnimationFrame(frame);
   }
 
   function seek(to: bigint): void {
@@ -93,13 +103,13 @@ export function useClock(span: Span, recorded: readonly Span[], startNs: bigint)
   }
 
   watch(isPlaying, (isOn) => {
-    cancelAnimationFrame(frame);
+    stop();
     if (!isOn) return;
     if (timeNs.value >= span.toNs) timeNs.value = span.fromNs;
     lastMs = performance.now();
     frame = requestAnimationFrame(play);
   });
-  onScopeDispose(() => cancelAnimationFrame(frame));
+  onScopeDispose(stop);
 
   return {
     span,

@@ -140,32 +140,77 @@ export interface Aligned {
   readonly values: readonly (readonly (number | null | undefined)[])[];
 }
 
+/** Points of curves that have one list of times. */
+interface Run {
+  readonly seconds: readonly number[];
+  readonly first: number;
+  readonly values: readonly (readonly (number | null | undefined)[] | undefined)[];
+}
+
 /** Returns the curves of several topics with one list of times. A curve is broken between two segments with a gap. */
 export function aligned(topics: readonly { readonly curves: number; readonly segments: readonly Segment[] }[]): Aligned {
-  const points = new Map<number, (number | null | undefined)[]>();
-  const total = topics.reduce((sum, { curves }) => sum + curves, 0);
-  const put = (second: number, curve: number, value: number | null | undefined): void => {
-    const row = points.get(second) ?? Array.from<undefined>({ length: total });
-    points.set(second, row);
-    // Of two messages at one time, the second has no derivative: the first one's stays.
-    if (value !== undefined && (value !== null || row[curve] === undefined)) row[curve] = value;
-  };
-  let first = 0;
+  const runs: Run[] = [];
+  let total = 0;
   for (const { curves, segments } of topics) {
-    const inOrder = segments.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1));
-    for (const [place, segment] of inOrder.entries()) {
-      const start = segment.seconds[0];
-      const previous = inOrder[place - 1];
-      const isApart = previous !== undefined && segment.fromNs > previous.toNs + 1n;
-      for (let curve = 0; curve < curves; curve += 1) {
-        if (isApart && start !== undefined) put(start - BREAK_SECONDS, first + curve, null);
-        segment.seconds.forEach((second, row) => put(second, first + curve, segment.values[curve]?.[row]));
-      }
-    }
-    first += curves;
+    runs.push(...runsOf(segments, total, curves));
+    total += curves;
   }
-  const seconds = [...points.keys()].sort((a, b) => a - b);
-  return { seconds, values: Array.from({ length: total }, (_, curve) => seconds.map((second) => points.get(second)?.[curve])) };
+  const seconds = timesOf(runs);
+  const rows = Array.from({ length: total }, () => Array.from<number | null | undefined>({ length: seconds.length }));
+  for (const run of runs) {
+    let row = firstAfter(seconds, run.seconds[0] ?? 0) - 1;
+    run.seconds.forEach((second, place) => {
+      row = rowOf(seconds, second, row);
+      run.values.forEach((values, curve) => put(rows[run.first + curve], row, values?.[place]));
+    });
+  }
+  return { seconds, values: rows };
+}
+
+/** Returns the segments of a topic in order, and the breaks before those with a gap. */
+function runsOf(segments: readonly Segment[], first: number, curves: number): Run[] {
+  const inOrder = segments.toSorted((a, b) => (a.fromNs < b.fromNs ? -1 : 1));
+  return inOrder.flatMap(({ fromNs, seconds, values }, place): Run[] => {
+    const [start, previous] = [seconds[0], inOrder[place - 1]];
+    const isApart = previous !== undefined && start !== undefined && fromNs > previous.toNs + 1n;
+    const gap = isApart ? [{ seconds: [start - BREAK_SECONDS], first, values: Array.from({ length: curves }, () => [null]) }] : [];
+    return [...gap, { seconds, first, values: values.slice(0, curves) }];
+  });
+}
+
+/** Returns the times of all points, each once, in order. */
+function timesOf(runs: readonly Run[]): readonly number[] {
+  const all = new Float64Array(runs.reduce((count, { seconds }) => count + seconds.length, 0));
+  let end = 0;
+  for (const { seconds } of runs) {
+    all.set(seconds, end);
+    end += seconds.length;
+  }
+  return [...all.sort().filter((second, place) => second !== all[place - 1])];
+}
+
+/** Returns the row of a time, which is usually at `from` or soon after it. */
+function rowOf(seconds: readonly number[], second: number, from: number): number {
+  let row = from;
+  if ((seconds[row] ?? Infinity) > second) return firstAfter(seconds, second) - 1; // stamps need not be in order
+  while ((seconds[row] ?? Infinity) < second) row += 1;
+  return row;
+}
+
+function put(values: (number | null | undefined)[] | undefined, row: number, value: number | null | undefined): void {
+  // Of two messages at one time, the second has no derivative: the first one's stays.
+  if (values !== undefined && value !== undefined && (value !== null || values[row] === undefined)) values[row] = value;
+}
+
+/** Returns the first row after a time. */
+function firstAfter(seconds: readonly number[], second: number): number {
+  let [low, high] = [0, seconds.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if ((seconds[middle] ?? 0) <= second) low = middle + 1;
+    else high = middle;
+  }
+  return low;
 }
 
 /** Returns the end of the last unread part that begins at or before a time; null where there is none. */
@@ -175,13 +220,7 @@ export function unreadUntil(unread: readonly Span[], timeNs: bigint): bigint | n
 
 /** Returns the last value of a curve from `since` up to a time, in seconds; null where there is none. */
 export function valueAt({ seconds, values }: Aligned, curve: number, second: number, since = -Infinity): number | null {
-  let [low, high] = [0, seconds.length];
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if ((seconds[middle] ?? 0) <= second) low = middle + 1;
-    else high = middle;
-  }
-  for (let row = low - 1; row >= 0; row -= 1) {
+  for (let row = firstAfter(seconds, second) - 1; row >= 0; row -= 1) {
     if ((seconds[row] ?? 0) < since) return null;
     const value = values[curve]?.[row];
     if (value !== undefined) return value;

@@ -1,7 +1,7 @@
-import { describe, expect, it } from "vitest";
+import { beforeAll, describe, expect, it } from "vitest";
 import { ReadFailure } from "../failures";
 import { MAX_UNPACKED } from "../limits";
-import { unpack } from "./unpack";
+import { prepareUnpacking, unpack } from "./unpack";
 
 // What the tools of each format (bzip2, lz4, zstd) make of these bytes.
 const PLAIN = new Uint8Array([
@@ -29,6 +29,8 @@ function codeOf(act: () => unknown): string {
 }
 
 describe("unpack", () => {
+  beforeAll(prepareUnpacking);
+
   it.each(Object.keys(PACKED))("reads what %s wrote", (name) => {
     expect(unpack(name, packed(name), PLAIN.length)).toEqual(PLAIN);
   });

@@ -1,6 +1,6 @@
 /** Decompression of chunks to exactly the size that the chunk declares. */
 
-import { decompress } from "fzstd";
+import { ZSTDDecoder } from "zstddec";
 import { ReadFailure } from "../failures";
 import { MAX_UNPACKED } from "../limits";
 import { unpackBzip2 } from "./bzip2";
@@ -8,6 +8,13 @@ import { unpackBzip2 } from "./bzip2";
 type Unpack = (packed: Uint8Array, size: number) => Uint8Array;
 
 const UNPACK: Readonly<Record<string, Unpack>> = { lz4: unpackLz4, bz2: unpackBzip2, zstd: unpackZstd };
+
+const zstd = new ZSTDDecoder();
+
+/** Load libzstd, compiled to WebAssembly. `unpack` needs it. */
+export function prepareUnpacking(): Promise<void> {
+  return zstd.init();
+}
 
 const ZSTD_MAGIC = [0x28, 0xb5, 0x2f, 0xfd];
 
@@ -36,7 +43,9 @@ function asItIs(packed: Uint8Array, size: number): Uint8Array {
 function unpackZstd(packed: Uint8Array, size: number): Uint8Array {
   const declared = zstdContentSize(packed);
   if (declared !== null && declared !== size) throw new RangeError(`${declared} bytes instead of ${size}`);
-  return decompress(packed, new Uint8Array(size)); // a RangeError where it holds more
+  const unpacked = zstd.decode(packed, Math.max(1, size)); // it takes 0 for not known
+  if (unpacked.length !== size) throw new RangeError(`${unpacked.length} bytes instead of ${size}`); // none where it is damaged or holds more
+  return unpacked;
 }
 
 /** The memory that decompressing a frame needs, from its header. Source: RFC 8878, 3.1.1.1.2. */

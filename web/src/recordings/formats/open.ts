@@ -1,6 +1,6 @@
 /** Opens a recording by the format that the server detected. Files compressed as a whole are decompressed into memory. */
 
-import { isZstd, zstdWindowBytes } from "../compression/unpack";
+import { isZstd, prepareUnpacking, zstdWindowBytes } from "../compression/unpack";
 import { MAX_BYTES_UNCONFIRMED, MAX_CHUNK_CACHE, MAX_WHOLE_PACKED, MAX_WHOLE_UNPACKED, READ_AHEAD } from "../limits";
 import type { ReadableFormat } from "../protocol";
 import type { Source } from "../ranges";
@@ -22,7 +22,7 @@ const OPEN: Readonly<Record<ReadableFormat, (source: Source, maxBytes: number, c
  * @throws ReadFailure where neither works.
  */
 export async function openRecording(format: ReadableFormat, source: Source, { maxBytes = MAX_BYTES_UNCONFIRMED, cacheBytes = MAX_CHUNK_CACHE } = {}): Promise<Recording> {
-  const head = await source.read(0, Math.min(4, source.sizeBytes));
+  const [head] = await Promise.all([source.read(0, Math.min(4, source.sizeBytes)), prepareUnpacking()]);
   return OPEN[format](isZstd(head) ? await decompressed(source) : source, maxBytes, new ChunkCache(cacheBytes));
 }
 

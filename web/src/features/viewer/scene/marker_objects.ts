@@ -139,7 +139,7 @@ function arrowAlong(marker: Marker, direction: Vector3, { lengthM, shaftM, headM
 }
 
 function text(marker: Marker, own: Own): Object3D {
-  const canvas = document.createElement("canvas");
+  const canvas = new OffscreenCanvas(1, 1);
   const context = canvas.getContext("2d");
   const font = `${TEXT_PX}px Inter, sans-serif`;
   if (context !== null) {

@@ -1,4 +1,4 @@
-// A scene of three.js: draws placed items, only when something has changed, and frees what is no longer shown.
+// A scene of three.js, in a worker: draws placed items, only when something has changed, and frees what is no longer shown.
 import {
   AmbientLight, Box3, Color, ColorManagement, DirectionalLight, GridHelper, LinearSRGBColorSpace, Matrix4, PerspectiveCamera, Quaternion, Scene, Vector3, WebGLRenderer,
 } from "three";
@@ -6,6 +6,7 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { markerObject } from "./marker_objects";
 import { gridObject, pointObject, poseObject, type PointStyle, type SceneObject } from "./objects";
 import type { PlacedItem } from "./placement";
+import type { PointerTarget } from "./pointer_events";
 import { followedBy, IDENTITY, type Pose, type Vector } from "@/recordings/geometry/poses";
 
 export interface SceneColours {
@@ -13,6 +14,15 @@ export interface SceneColours {
   readonly grid: string;
   readonly plain: number;
 }
+
+export type Item = PlacedItem["item"];
+
+/** Where an item is, and how it is coloured. */
+export interface ItemPlace extends Omit<PlacedItem, "item"> {
+  readonly id: number;
+}
+
+export type SceneStyle = Omit<PointStyle, "colourBy" | "plain">;
 
 interface Drawn {
   readonly made: SceneObject;
@@ -39,7 +49,7 @@ export class SceneView {
   private readonly scene = new Scene();
   private readonly camera = new PerspectiveCamera(50, 1, NEAR_M, FAR_M);
   private readonly controls: OrbitControls;
-  private readonly drawn = new Map<PlacedItem["item"], Drawn>();
+  private readonly drawn = new Map<number, Drawn>();
   private readonly removed: (() => void)[] = [];
   private grid: GridHelper | null = null;
   private gridCellM = 0;
@@ -49,31 +59,25 @@ export class SceneView {
   private colours: SceneColours;
   private pending = 0;
   private isFitted = false;
+  private isReported = true;
 
-  /** @throws Error where the browser has no WebGL 2. */
-  constructor(canvas: HTMLCanvasElement, colours: SceneColours) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true });
+  /**
+   * `onUpdated` gets how many points are drawn, once an update is.
+   * @throws Error where the browser has no WebGL 2.
+   */
+  constructor(canvas: OffscreenCanvas, pointer: PointerTarget, colours: SceneColours, private readonly onUpdated: (points: number) => void) {
+    this.renderer = new WebGLRenderer({ canvas, antialias: !isDrawnInSoftware() });
     this.renderer.outputColorSpace = LinearSRGBColorSpace;
     this.colours = colours;
     this.camera.up.set(0, 0, 1);
-    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls = new OrbitControls(this.camera, pointer as unknown as HTMLElement);
     this.controls.enableDamping = false;
-    this.controls.enableZoom = false; // the wheel scrolls the page until the scene has the focus
     this.controls.addEventListener("change", () => this.requestRender());
     const sun = new DirectionalLight(0xffffff, 1.6);
     sun.position.set(-3, -5, 10);
     this.scene.add(new AmbientLight(0xffffff, 1.6), sun);
     this.setColours(colours);
     this.aim(FIRST_DIRECTION, new Vector3(), 12);
-  }
-
-  /** How many points are drawn. */
-  get points(): number {
-    return [...this.drawn.values()].reduce((sum, { made }) => sum + made.points, 0);
-  }
-
-  set hasWheel(isOn: boolean) {
-    this.controls.enableZoom = isOn;
   }
 
   setColours(colours: SceneColours): void {
@@ -83,29 +87,33 @@ export class SceneView {
     this.requestRender();
   }
 
-  resize(width: number, height: number): void {
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+  resize(width: number, height: number, pixelRatio: number): void {
+    this.renderer.setPixelRatio(pixelRatio);
     this.renderer.setSize(Math.max(1, width), Math.max(1, height), false);
     this.camera.aspect = Math.max(1, width) / Math.max(1, height);
     this.camera.updateProjectionMatrix();
     this.requestRender();
   }
 
-  /** Shows these items and no others. */
-  update(items: readonly PlacedItem[], style: Omit<PointStyle, "colourBy" | "plain">): void {
-    const visible = new Set(items.map(({ item }) => item));
-    for (const [item, { made }] of this.drawn) {
-      if (visible.has(item)) continue;
+  /** Shows these items and no others. `added` are those among them that the last update did not have. */
+  update(places: readonly ItemPlace[], added: ReadonlyMap<number, Item>, style: SceneStyle): void {
+    const visible = new Set(places.map(({ id }) => id));
+    for (const [id, { made }] of this.drawn) {
+      if (visible.has(id)) continue;
       this.remove(made);
-      this.drawn.delete(item);
+      this.drawn.delete(id);
     }
-    for (const { item, pose, colourBy } of items) {
-      const known = this.drawn.get(item) ?? this.add(item);
+    for (const [id, item] of added) this.add(id, item);
+    for (const { id, pose, colourBy } of places) {
+      const known = this.drawn.get(id);
+      if (known === undefined) continue;
       this.origin ??= originFor(positionOf(known.made, pose).position);
       this.place(known, pose, `${colourBy} ${style.colourMap} ${style.sizePx}`);
       known.made.style({ ...style, colourBy, plain: this.colours.plain });
     }
-    if (!this.isFitted && items.length > 0) this.fit();
+    if (!this.isFitted && places.length > 0) this.fit();
+    this.isReported = false;
+    if (this.pending === 0) this.report();
   }
 
   /** Shows the axes of frames. */
@@ -179,12 +187,17 @@ export class SceneView {
     this.renderer.forceContextLoss(); // a page has a bounded number of contexts
   }
 
-  private add(item: PlacedItem["item"]): Drawn {
+  private add(id: number, item: Item): void {
     const drawn = { made: objectOf(item), placedAs: [], styledAs: "" };
     drawn.made.object.matrixAutoUpdate = false;
-    this.drawn.set(item, drawn);
+    this.drawn.set(id, drawn);
     this.scene.add(drawn.made.object);
-    return drawn;
+  }
+
+  private report(): void {
+    if (this.isReported) return;
+    this.isReported = true;
+    this.onUpdated([...this.drawn.values()].reduce((sum, { made }) => sum + made.points, 0));
   }
 
   /** Frees an object once what replaces it is drawn: shaders that nothing uses in between would be compiled again. */
@@ -224,6 +237,7 @@ export class SceneView {
       this.placeGrid();
       this.renderer.render(this.scene, this.camera);
       this.freeRemoved();
+      this.report();
     });
   }
 
@@ -245,7 +259,16 @@ export class SceneView {
   }
 }
 
-function objectOf(item: PlacedItem["item"]): SceneObject {
+/** Whether the processor draws, as in virtual machines: smooth edges take it several times as long. */
+function isDrawnInSoftware(): boolean {
+  const context = new OffscreenCanvas(1, 1).getContext("webgl2");
+  const names = context?.getExtension("WEBGL_debug_renderer_info");
+  const renderer = names ? String(context?.getParameter(names.UNMASKED_RENDERER_WEBGL)) : "";
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(renderer);
+}
+
+function objectOf(item: Item): SceneObject {
   if ("shape" in item) return markerObject(item);
   if (item.kind === "points") return pointObject(item.points);
   return item.kind === "poses" ? poseObject(item.sequence, AXES_M) : gridObject(item.grid);
