@@ -42,7 +42,7 @@ describe("Ranges", () => {
   });
 
   it("fetches the next range while the one before it is used, once three came in order", async () => {
-    const { ranges, answers } = storeOf(BYTES);
+    const { ranges, answers } = storeOf(BYTES, { fetchesNext: true });
     for (const block of [0, 1, 2]) await ranges.read(block * BLOCK, BLOCK);
     await vi.waitFor(() => expect(answers).toEqual([BLOCK, BLOCK, BLOCK, BLOCK]));
     expect(ranges.bytesRead).toBe(3 * BLOCK);
@@ -55,13 +55,13 @@ describe("Ranges", () => {
 
   it("fetches nothing ahead over a slow line", async () => {
     let nowMs = 0;
-    const { ranges, answers } = storeOf(BYTES, { now: () => (nowMs += 300) });
+    const { ranges, answers } = storeOf(BYTES, { fetchesNext: true, now: () => (nowMs += 300) });
     for (const block of [0, 1, 2, 3]) await ranges.read(block * BLOCK, BLOCK);
     await vi.waitFor(() => expect(answers).toHaveLength(4));
   });
 
   it("fetches a range again that could not be fetched ahead", async () => {
-    const { ranges, answers, change } = storeOf(BYTES);
+    const { ranges, answers, change } = storeOf(BYTES, { fetchesNext: true });
     for (const block of [0, 1]) await ranges.read(block * BLOCK, BLOCK);
     const third = ranges.read(2 * BLOCK, BLOCK);
     await vi.waitFor(() => expect(answers).toHaveLength(3));

@@ -28,6 +28,8 @@ export interface RangesOptions {
   renew: () => Promise<Address>;
   /** Called as bytes arrive, with their number. */
   onBytes?: (count: number) => void;
+  /** Whether the next range is fetched while the last one is used, where ranges are read in order. */
+  fetchesNext?: boolean;
   fetch?: typeof fetch;
   now?: () => number;
 }
@@ -97,7 +99,7 @@ export class Ranges implements Source {
     for (let at = 0; at < bytes.length; at += BLOCK) this.cache(block + at / BLOCK, bytes.slice(at, at + BLOCK));
     this.inOrder = block === this.end ? this.inOrder + 1 : 1;
     this.end = block + Math.ceil(bytes.length / BLOCK);
-    if (this.inOrder >= LEAST_IN_ORDER) this.fetchNext(bytes.length);
+    if (this.options.fetchesNext === true && this.inOrder >= LEAST_IN_ORDER) this.fetchNext(bytes.length);
     if (this.signal?.aborted === true) throw new ReadFailure("cancelled");
     return bytes;
   }

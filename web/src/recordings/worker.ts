@@ -92,7 +92,7 @@ function moved(answer: Answer): Transferable[] {
 }
 
 async function open({ format, sizeBytes, cacheBytes }: RecordingFile, signal: AbortSignal): Promise<Answer<"open">> {
-  source = new Ranges({ sizeBytes, renew, onBytes });
+  source = new Ranges({ sizeBytes, renew, onBytes, fetchesNext: true });
   source.signal = signal;
   session = new Session(await openRecording(format, source, cacheBytes === undefined ? {} : { cacheBytes }));
   return session.opened();

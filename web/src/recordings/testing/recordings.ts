@@ -174,7 +174,7 @@ export interface TestStore {
   change: (bytes: Uint8Array) => void;
 }
 
-export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000, now = Date.now } = {}): TestStore {
+export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000, now = Date.now, fetchesNext = false } = {}): TestStore {
   let stored = bytes;
   let etag = '"1"';
   let renewals = 0;
@@ -197,6 +197,7 @@ export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000, now = Date.now 
   };
   const ranges = new Ranges({
     sizeBytes: bytes.length,
+    fetchesNext,
     renew: () => {
       renewals += 1;
       if (isRefusing) return Promise.reject(new ReadFailure("link_refused"));
